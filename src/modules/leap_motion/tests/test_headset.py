@@ -297,14 +297,20 @@ class TestAccess:
             assert access.admit(f"guess {number}", f"10.0.1.{number}", now) is None
         assert access.admit("guess 0", "10.0.1.0", now + 9.0) is None and access.code == code, "the same is no guess"
         assert access.admit("another", "10.0.2.1", now) is None and access.code != code
-        assert access.admit(code, "10.0.2.2", now) is None and access.admit(key, HERE, now) == key
-        code = access.code
+        assert access.admit(key, HERE, now) == key
+        former, code = code, access.code
         assert access.sentence("page") == f"There were 20 wrong codes, so the code for the next page is {code}."
         for number in range(2 * MAX_GUESSES):
             assert access.admit(f"guess {number}", f"10.0.3.{number}", now + CODE_S - 1.0) is None
         assert access.code == code
         assert access.admit("guess", "10.0.4.1", now + CODE_S) is None and access.code != code
-        assert access.admit(access.code, "10.0.5.1", now + CODE_S), "who reads it is not shut out"
+        assert access.admit(former, "10.0.4.2", now + CODE_S) is None
+        last = access.code
+        assert access.admit(code, "10.0.4.3", now + CODE_S), "who typed it is not shut out"
+        for used in (code, last):
+            assert access.admit(used, "10.0.4.4", now + 2 * CODE_S) is None
+            now += CODE_S
+        assert access.admit(access.code, "10.0.5.1", now), "nor who reads the next one"
         assert access.sentence("page") == f"The code for the next page is {access.code}."
 
     def test_the_ticket_is_the_end_of_an_address_and_no_key(self):

@@ -91,13 +91,14 @@ def test_who_gave_way_and_leaves_then_takes_nobodys_place():
 
 
 def test_a_machine_is_one_however_its_address_is_written():
-    limits = ConnectionLimits(5, 1)
+    limits = ConnectionLimits(9, 1)
 
     def enters(address):
         return limits.enter(address, pytest.fail) is not None
 
     assert enters("10.0.0.1") and not enters("::ffff:10.0.0.1")
     assert enters("fe80::1%eth0") and not enters("fe80:0::1") and enters("fe80::2%eth0")
+    assert enters("2001:db8::1") and not enters("2001:db8::2:3") and enters("2001:db8:0:1::1")
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 100.0), st.text(max_size=3), st.sampled_from([THERE, "10.0.0.7"]))))

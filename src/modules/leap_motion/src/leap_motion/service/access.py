@@ -78,12 +78,13 @@ class ConnectionLimits:
 
 
 class AccessCode:
-    """The present `code`. Each wrong one makes its address wait, twice as long as the last one, LONGEST_WAIT_S at
-    most; meanwhile nothing from there is compared. Other addresses do not wait. The same wrong code again, as from a
-    program that reconnects, is no further guess. `guesses`: how many there were, from all addresses."""
+    """The present `code`, and the `former` one, if it is good yet. Each wrong one makes its address wait, twice as long
+    as the last one, LONGEST_WAIT_S at most; meanwhile nothing from there is compared. Other addresses do not wait. The
+    same wrong code again, as from a program that reconnects, is no further guess. `guesses`: how many there were, from
+    all addresses."""
 
     def __init__(self, code: str) -> None:
-        self.code, self.guesses = code, 0
+        self.code, self.former, self.guesses = code, "", 0
         self._wrong: dict[str, tuple[int, float, str]] = {}  # how many, until when [s], the last one's hash
 
     def wait(self, address: str, now: float) -> float:
@@ -97,8 +98,9 @@ class AccessCode:
             return False
         machine = _machine(address)
         count, until, last = self._wrong.pop(machine, (0, now, ""))
-        if hmac.compare_digest(given.encode("utf-8", "replace"), self.code.encode()):
-            return True
+        for code in filter(None, (self.code, self.former)):
+            if hmac.compare_digest(given.encode("utf-8", "replace"), code.encode()):
+                return True
         if now - until > REMEMBERED_S:
             count = 0
         wait, guess = FIRST_WAIT_S, hashlib.sha256(given.encode("utf-8", "replace")).hexdigest()
@@ -114,7 +116,8 @@ class AccessCode:
 class HeadsetAccess:
     """Who may drive the robot over the network: whoever knows the code that stands on the rig's terminal. A code is
     good for one headset, which gets a key for when its connection is lost; the next one needs the next code. After
-    MAX_GUESSES wrong codes there is a new one, too, but none within CODE_S of the last: somebody may be typing it.
+    MAX_GUESSES wrong codes there is a new one, too, but none within CODE_S of the last, which is good until the one
+    after: somebody may be typing it.
 
     `ticket`, for pages with a key, admits to nothing: a connection to an address that ends with it has a kept place.
     There is a new one after the end of the last key."""
@@ -169,6 +172,7 @@ class HeadsetAccess:
             self._keys[key] = now
 
     def _renew(self, guessed: int, now: float) -> None:
+        self._check.former = self._check.code if guessed else ""
         self._check.code, self._check.guesses = _new_code(), 0
         self._since, self._guessed = now, guessed
 
@@ -226,5 +230,9 @@ def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _machine(address: str) -> str:
-    """Returns an address in the one form that stands for its machine."""
-    return str(_ip(address) or address)
+    """Returns an address in the one form that stands for its machine: of IPv6 its network, as a machine may have any
+    address there, but for those on the same link."""
+    ip = _ip(address)
+    if ip is None or ip.version == 4 or ip.is_link_local or ip.is_loopback:
+        return str(ip or address)
+    return str(ipaddress.IPv6Network((int(ip), 64), strict=False))
