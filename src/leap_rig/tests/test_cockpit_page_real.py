@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from leap_rig.cockpit.scene import DRAW_LESS, TELL_DRAWN, SceneServer
+from leap_rig.cockpit.scene import DRAW_LESS, TELL_DRAWN, WORKER, SceneServer
 from leap_rig.cockpit.server import MAX_PAGES, CockpitServer, ScenePage
 from simulated.chromium import browser
 from vision.stereo.transport import Picture
@@ -133,6 +133,14 @@ def held(page, enable, clutch):
     page.until(now, what=f"{enable}, {clutch}")
     shown = "(({enable, clutch}) => [enable, clutch])(state.arms[''].held)"
     page.until(lambda: page(shown) == [enable, clutch], what="the page to show it")
+
+
+def without_news(condition):
+    """Waits until that is so while the server sends no state."""
+    deadline = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
 
 
 def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
@@ -266,8 +274,22 @@ def test_the_scene_is_covered_by_a_sentence_until_it_is_drawn(page):
             return page(notice).startswith(begin) and bool(page(notice)) is bool(begin)
 
         page.until(heard, what=message)
-    time.sleep(2.0)
-    assert page(notice).startswith("No news from the rig")
+    page("$('view').contentWindow.postMessage('closed', '*')")
+    page.until(lambda: page(notice) == "The scene is old.", what="the end of its connection")
+    page("$('view').contentWindow.postMessage('connected', '*')")
+    page.until(lambda: page(notice) == "", what="its connection")
+    without_news(lambda: page(notice).startswith("No news from the rig"))
+
+
+def test_the_scene_tells_that_its_connection_ended_and_connects_again_without_focus(page):
+    page("window.told = []; addEventListener('message', event => told.push(event.data))")
+    page("document.body.append(Object.assign(document.createElement('iframe'), {id: 'drawn'}))")
+    frame = "document.getElementById('drawn').contentWindow"
+    page(f"{frame}.document.write({json.dumps(WORKER.decode())})")
+    viser = "onmessage = ({data}) => postMessage({type: data.type === 'retry' ? 'connected' : 'closed'})"
+    page(f"window.worker = new ({frame}.Worker)({frame}.URL.createObjectURL(new Blob([{json.dumps(viser)}]))), 0")
+    page("worker.postMessage({type: 'set_server'})")
+    page.until(lambda: page("told.join()") == "closed,connected", what="both")
 
 
 def test_a_browser_without_webgl_says_so(page):
@@ -282,7 +304,7 @@ def test_a_browser_without_webgl_says_so(page):
     page.until(lambda: page("told.includes('no WebGL')"))
 
 
-def test_the_scene_says_when_it_is_drawn_and_how_large_its_view_is(page, tmp_path):
+def test_the_scene_says_when_it_is_drawn_how_large_its_view_is_and_when_it_is_old(page, tmp_path):
     scene, folder = SceneServer(), tmp_path / "second"
     server = CockpitServer(PAGE, ScenePage(scene.page, scene.address), ("",), print, print, print)
     folder.mkdir()
@@ -303,6 +325,12 @@ def test_the_scene_says_when_it_is_drawn_and_how_large_its_view_is(page, tmp_pat
             page.until(drawn, what="the scene")
             size = evaluate("[$('view').clientWidth, $('view').clientHeight]")
             page.until(lambda: (eye := scene._eye()) and [eye.width, eye.height] == size, what="its size")
+            scene.close()
+            old = "$('notice').textContent === 'The scene is old.'"
+            page.until(lambda: (drawn(), evaluate(old))[1], what="the end of its connection")
+            scene = SceneServer()
+            server._scene = ScenePage(b"", scene.address)
+            page.until(lambda: (drawn(), scene.viewers and not evaluate(old))[1], what="the next connection")
     finally:
         server.close()
         scene.close()
@@ -323,6 +351,10 @@ def test_the_arm_that_the_hand_steers_is_chosen_where_a_request_chooses_it(page)
     assert page.obeyed[0][:3] == ("choose", "", "left")
     page.changes["choice"] = {"names": ["left", "right", "both"], "chosen": "left"}
     page.until(lambda: page(pressed) == "left")
+    page.changes["choice"] = {"names": ["left", "right"], "chosen": "right"}
+    page.until(lambda: page("document.querySelectorAll('#choice button').length") == 2)
+    assert page(pressed) == "right"
+    without_news(lambda: page("$('choice').className") == "old")
 
 
 def test_where_a_processor_draws_the_scene_it_draws_less(page):
@@ -351,10 +383,47 @@ def test_what_both_arms_answer_is_shown_and_a_lost_connection_is_no_missing_code
     assert page("$('said').textContent").startswith("There is no connection")
 
 
+def test_a_stop_without_an_answer_is_told(page):
+    page.enter()
+    page("control.send = text => { if (!text.includes('stop')) WebSocket.prototype.send.call(control, text); }")
+    page.press("Escape")
+    assert page("$('stopping').textContent").startswith("Emergency Stop: no answer yet.")
+    page("control.close()")
+    page.until(lambda: page("$('stopping').textContent").startswith("Emergency Stop: not confirmed."))
+    assert not page.stops
+    page.until(lambda: page("admitted"), what="the key again")
+    page.press("Escape")
+    page.until(lambda: page("$('stopping').textContent") == "")
+    assert page.stops and page("$('said').textContent") == "The Emergency Stop was sent."
+
+
+def test_what_was_open_before_the_code_is_opened_anew_with_the_ticket(page):
+    page.until(lambda: page("typeof cameraViews === 'object' && cameraViews.camera?.socket.readyState === 1"))
+    page.enter()
+    kept = "[stateSocket, cameraViews.camera.socket].every(({url}) => url.endsWith(sessionStorage.getItem('ticket')))"
+    page.until(lambda: page(kept), what="the ticket")
+    page("window.before = stateAt, 0")
+    page.until(lambda: page("stateAt > before"), what="a state")
+
+
+def test_a_mistyped_code_leaves_the_key_and_a_right_one_comes_after_a_void_key(page):
+    page.enter()
+    key = page("sessionStorage.getItem('cockpit')")
+
+    def comes_back_with(code):
+        page(f"control.close(), $('code').value = {code!r}, $('enter').requestSubmit(), admitted = false")
+        page.until(lambda: page("admitted"), what="the key again")
+
+    comes_back_with("1")
+    assert page("sessionStorage.getItem('cockpit')") == key
+    page("sessionStorage.setItem('cockpit', 'void')")
+    comes_back_with(page.server.control.access.code)
+    assert page("sessionStorage.getItem('cockpit')") not in (key, "void")
+
+
 def test_what_is_old_is_grey_and_says_its_age(page):
     page.until(lambda: page("$('state').textContent").endswith("it follows."))
-    time.sleep(2.0)
-    assert page("$('state').className") == "old"
+    without_news(lambda: page("$('state').className") == "old")
     assert page("$('who').textContent").startswith("No news for")
     page.until(lambda: page("$('state').className") == "")
 

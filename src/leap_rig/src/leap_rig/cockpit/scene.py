@@ -42,12 +42,20 @@ WORKER = b"""<script>
       }
       post(data, ...more);
     };
+    let again;
+    made.addEventListener("message", ({data: {type}}) => {
+      if (type !== "closed" && type !== "connected") return;
+      parent.postMessage(type, "*");
+      clearTimeout(again);
+      if (type === "closed") again = setTimeout(() => { if (!document.hasFocus()) post({type: "retry"}); }, 1000);
+    });
     return made;
   };
 }
 </script>"""
 """viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes. The
-size of the view that it sends becomes that on the page, in which labels have one size on every screen."""
+size of the view that it sends becomes that on the page, in which labels have one size on every screen. The page around
+it is told when the connection ends and comes back; without focus viser would not connect again."""
 DRAW_LESS = b"""<script>
 "use strict";
 {
