@@ -18,7 +18,7 @@ from grasping.lab.synthetic.pose_labels import REASONS
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import Maps
 from grasping.poses import hand_view, hypotheses
-from grasping.poses.chooser import ImageMaps, choose, tilts, upright
+from grasping.poses.chooser import ImageMaps, choose, tilts
 from grasping.poses.hypotheses import MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
 from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
 
@@ -66,7 +66,7 @@ def seen(of: ImageMaps, tried: Hypotheses) -> np.ndarray:
 
 def near_fingers(values: np.ndarray) -> np.ndarray:
     """Returns the part of features at the fingers: across, along, down."""
-    cut = hand_view.FEATURES - 10 - len(hand_view.AROUND_M) ** 2
+    cut = hand_view.FEATURES - hand_view.SCALARS - len(hand_view.AROUND_M) ** 2
     return values[:, :cut].reshape(len(values), -1, len(hand_view.ALONG_M), len(hand_view.DOWN_M))
 
 
@@ -176,7 +176,8 @@ def test_features_are_finite_and_bounded_even_outside_the_image():
 def test_poses_near_others_stay_near_and_are_rotations():
     of = bar_image()
     best = of_turns(of, Turn()).part(np.arange(4))
-    T, opening = hypotheses.varied(best, 5, np.random.default_rng(0), OPEN_M)
+    T, opening = hypotheses.varied(best, 5, np.random.default_rng(0), OPEN_M, of.frame(), 0.1)
+    assert tilts(Hypotheses(T, opening, best.seen), of.frame()).max() <= 0.1 + 1e-6
     assert T.shape == (20, 4, 4)
     np.testing.assert_allclose(
         T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-9
@@ -252,11 +253,11 @@ def test_grasps_are_turned_upright_no_further_than_needed():
     of = bar_image(tilt=0.1)
     tried, frame = of_turns(of, *TURNS), of.frame()
     before, most = tilts(tried, frame), 0.3
-    turned = upright(tried.T, frame, most)
-    after = tilts(tried._replace(T=turned), frame)
+    turned = hypotheses.upright(tried.T[:, :3, :3], frame, most)
+    after = np.arccos(np.clip(turned[:, :, 2] @ frame.R[:, 2], -1.0, 1.0))
+    assert before.max() > most > before.min()
     np.testing.assert_allclose(after, np.minimum(before, most), atol=1e-6)
-    np.testing.assert_array_equal(turned[:, :3, 3], tried.T[:, :3, 3])
-    np.testing.assert_allclose(np.linalg.det(turned[:, :3, :3]), 1.0)
+    np.testing.assert_allclose(np.linalg.det(turned), 1.0)
 
 
 def test_tips_that_would_be_in_the_table_are_looked_for_above_it():

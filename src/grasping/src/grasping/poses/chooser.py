@@ -10,7 +10,7 @@ from common.camera_model import CameraModel
 from grasping.network.depth_image import NetworkImage
 from grasping.network.maps import Maps
 from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, hypotheses, said_of, small_rotations, varied
+from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, hypotheses, said_of, varied
 from grasping.poses.lift_network import LiftNetwork, lift_logits
 from grasping.refinement.candidates import LevelFrame, image_rays, level_frame
 
@@ -39,34 +39,20 @@ def choose(network: LiftNetwork, of: ImageMaps, most_open: float, max_tilt: floa
     what the hand opens at most [m]. Empty where nothing stands on the table."""
     elite, each, rounds = 16, 8, 2
     frame = of.frame()
-    found = hypotheses(of.maps, of.certainty, of.image, of.camera, frame, most_open, TURNS)
-    T = upright(found.T, frame, max_tilt)
-    found = Hypotheses(T, found.opening, said_of(T, found.opening, of.maps, of.certainty, of.image, of.camera, frame))
+    found = hypotheses(of.maps, of.certainty, of.image, of.camera, frame, most_open, TURNS, max_tilt)
     if not len(found.T):
         return ScoredPoses(found, np.zeros(0))
     logits = lift_logits(network, features(found, of.image, of.camera, frame))
     rng = np.random.default_rng(0)
     for _ in range(rounds):
         best = found.part(np.argsort(-logits, kind="stable")[:elite])
-        T, opening = varied(best, each, rng, most_open)
-        T = upright(T, frame, max_tilt)
+        T, opening = varied(best, each, rng, most_open, frame, max_tilt)
         seen = said_of(T, opening, of.maps, of.certainty, of.image, of.camera, frame)
         near = Hypotheses(T, opening, seen)
         found = Hypotheses(*(np.concatenate(pair) for pair in zip(found, near)))
         logits = np.concatenate([logits, lift_logits(network, features(near, of.image, of.camera, frame))])
     order = np.argsort(-logits, kind="stable")
     return ScoredPoses(found.part(order), 1.0 / (1.0 + np.exp(-logits[order])))
-
-
-def upright(T: np.ndarray, frame: LevelFrame, max_tilt: float) -> np.ndarray:
-    """Returns grasps turned about their origins, as little as it takes, until none tilts by more than `max_tilt`."""
-    down, approach = frame.R[:, 2], T[:, :3, 2]
-    tilt = np.arccos(np.clip(approach @ down, -1.0, 1.0))
-    axis = np.cross(approach, down)
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
-    turned = T.copy()
-    turned[:, :3, :3] = small_rotations(axis * np.clip(tilt - max_tilt, 0.0, None)[:, None]) @ T[:, :3, :3]
-    return turned
 
 
 def tilts(of: Hypotheses, frame: LevelFrame) -> np.ndarray:

@@ -24,9 +24,10 @@ FAR_M = 0.05
 REACH_M = 0.025  # from a grasp's origin to the tips, along the approach
 GROUND_M = 0.006  # the tips stop so high above the table
 LARGEST = 3.0  # of any feature
+SCALARS = 10
 
 
-FEATURES = (len(BETWEEN) + 2 * len(BESIDE_M)) * len(ALONG_M) * len(DOWN_M) + len(AROUND_M) ** 2 + 10
+FEATURES = (len(BETWEEN) + 2 * len(BESIDE_M)) * len(ALONG_M) * len(DOWN_M) + len(AROUND_M) ** 2 + SCALARS
 
 
 def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
@@ -67,9 +68,9 @@ def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: Le
 def mirrored(values: np.ndarray, across: bool, along: bool) -> np.ndarray:
     """Returns the features of the mirrored scene: `across`: fingers exchanged; `along`: front and back exchanged."""
     n, wide = len(values), len(AROUND_M)
-    cut = FEATURES - 10 - wide**2
+    cut = FEATURES - SCALARS - wide**2
     local = values[:, :cut].reshape(n, -1, len(ALONG_M), len(DOWN_M))
-    far, scalars = values[:, cut:-10].reshape(n, wide, wide), values[:, -10:].copy()
+    far, scalars = values[:, cut:-SCALARS].reshape(n, wide, wide), values[:, -SCALARS:].copy()
     if across:
         local, far = local[:, ::-1], far[:, ::-1]
         scalars[:, 3] *= -1.0

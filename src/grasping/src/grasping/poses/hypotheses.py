@@ -68,9 +68,10 @@ def hypotheses(
     frame: LevelFrame,
     most_open: float,
     turns: tuple[Turn, ...] = TURNS,
+    max_tilt: float = MAX_TILT_RAD,
 ) -> Hypotheses:
     """Returns the hypotheses of an image; `maps`: smoothed; `certainty`: length of GGCNN's (cos, sin), shape of the
-    maps; `most_open`: what the hand opens at most [m]."""
+    maps; `most_open`: what the hand opens at most [m]; `max_tilt`: as of `upright`."""
     rows, columns = places(maps, image, camera, frame).T
     rays = image_rays(image, camera)
     points = image.depth[rows, columns, None] * rays[rows, columns]
@@ -81,8 +82,8 @@ def hypotheses(
     width = np.repeat(maps.width[rows, columns] * scale, len(turns))
     R = np.einsum("ij,njk->nik", frame.R, level_rotation(azimuth(line, frame), pitch, roll))
     T = np.tile(np.eye(4), (len(R), 1, 1))
-    T[:, :3, :3] = R
-    T[:, :3, 3] = np.repeat(points, len(turns), axis=0) - back[:, None] * R[:, :, 2]
+    T[:, :3, :3] = upright(R, frame, max_tilt)
+    T[:, :3, 3] = np.repeat(points, len(turns), axis=0) - back[:, None] * T[:, :3, 2]
     opening = np.clip(width + wider, MIN_OPENING_M, most_open)
     return Hypotheses(T, opening, said_of(T, opening, maps, certainty, image, camera, frame))
 
@@ -158,19 +159,36 @@ def pixels_of(
     return row, column, z * scale / camera.K[0, 0]
 
 
-def varied(of: Hypotheses, each: int, rng: np.random.Generator, most_open: float) -> tuple[np.ndarray, np.ndarray]:
-    """Returns poses and openings near those of hypotheses, `each` of them for each one, within the tilt that the hand
-    takes over; their order is that of the hypotheses."""
+def varied(
+    of: Hypotheses,
+    each: int,
+    rng: np.random.Generator,
+    most_open: float,
+    frame: LevelFrame,
+    max_tilt: float = MAX_TILT_RAD,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns poses and openings near those of hypotheses, `each` of them for each one, in the hypotheses' order;
+    `max_tilt`: as of `upright`."""
     T = np.repeat(of.T, each, axis=0)
-    turn = np.zeros((len(T), 3))
-    turn[:] = rng.normal(0.0, (0.15, 0.15, 0.2), turn.shape)
-    T[:, :3, :3] = T[:, :3, :3] @ small_rotations(turn)
-    T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], rng.normal(0.0, (0.004, 0.006, 0.006), turn.shape))
+    shape = (len(T), 3)
+    turned = T[:, :3, :3] @ rotations(rng.normal(0.0, (0.15, 0.15, 0.2), shape))
+    T[:, :3, :3] = upright(turned, frame, max_tilt)
+    T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], rng.normal(0.0, (0.004, 0.006, 0.006), shape))
     opening = np.clip(np.repeat(of.opening, each) + rng.normal(0.0, 0.008, len(T)), MIN_OPENING_M, most_open)
     return T, opening
 
 
-def small_rotations(turn: np.ndarray) -> np.ndarray:
+def upright(R: np.ndarray, frame: LevelFrame, max_tilt: float) -> np.ndarray:
+    """Returns orientations of hands before the camera, shape (n, 3, 3), turned as little as it takes until no approach
+    is further than `max_tilt` [rad] from straight down."""
+    down, approach = frame.R[:, 2], R[:, :, 2]
+    tilt = np.arccos(np.clip(approach @ down, -1.0, 1.0))
+    axis = np.cross(approach, down)
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
+    return rotations(axis * np.clip(tilt - max_tilt, 0.0, None)[:, None]) @ R
+
+
+def rotations(turn: np.ndarray) -> np.ndarray:
     """Returns the rotations of rotation vectors, shape (n, 3) to (n, 3, 3) [rad]."""
     angle = np.linalg.norm(turn, axis=1, keepdims=True)
     axis = turn / np.maximum(angle, 1e-12)

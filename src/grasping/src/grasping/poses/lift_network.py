@@ -46,7 +46,7 @@ def saved(network: LiftNetwork) -> dict[str, Any]:
 
 
 def loaded(data: bytes) -> LiftNetwork:
-    """Returns the network of a file's content; raises RigError if it is none."""
+    """Returns the network from the content of a weight file; raises RigError for any other content."""
     try:
         content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
         if content["schema"] != SCHEMA or content["features"] != FEATURES:

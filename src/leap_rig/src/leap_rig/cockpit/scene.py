@@ -54,8 +54,9 @@ WORKER = b"""<script>
 }
 </script>"""
 """viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes. The
-size of the view that it sends becomes that on the page, in which labels have one size on every screen. The page around
-it is told when the connection ends and comes back; without focus viser would not connect again."""
+size of the view that it sends becomes that on the page, in which labels have one size on every screen. The outer
+page is told when the connection ends and when it is back. A frame without focus is made to reconnect: viser waits for
+focus."""
 DRAW_LESS = b"""<script>
 "use strict";
 {
@@ -164,9 +165,8 @@ class SceneServer:
         scene = self._server.scene
         scene.set_background_image(np.full((4, 4, 3), BACKGROUND, dtype=np.uint8), format="png")
         scene.configure_default_lights(cast_shadow=False)
-        scene.configure_environment_map(
-            hdri=None
-        )  # of software that draws, its reflections would take half of the time
+        # Without its reflections, which take half of the time where a processor draws.
+        scene.configure_environment_map(hdri=None)
         scene.add_light_ambient("/light", intensity=1.5)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
         self._server.on_client_connect(self._look)

@@ -51,9 +51,8 @@ def read_key(path: str) -> bytes:
     """Returns the key in a file; raises RigError for a file that others may read, or that holds none."""
     longest = 1024
     try:
-        with open(
-            path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)
-        ) as file:  # or a pipe waits
+        # Opening a pipe would wait for its writer.
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             about = os.fstat(file.fileno())
             key = file.read(longest + 1) if stat.S_ISREG(about.st_mode) else b""
     except OSError as error:

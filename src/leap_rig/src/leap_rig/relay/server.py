@@ -206,7 +206,8 @@ class Relay(SocketService):
 
 
 def forwarded_for(request: bytes) -> str:
-    """Returns the address that a proxy added to a request, "" if there is none; its own words stand before."""
+    """Returns the last address in X-Forwarded-For, which the proxy added, or an empty text. Earlier ones are the
+    browser's own."""
     added = FORWARDED.findall(request.partition(b"\r\n\r\n")[0])
     try:
         return str(ipaddress.ip_address(added[-1].rpartition(b",")[2].strip().decode("ascii"))) if added else ""

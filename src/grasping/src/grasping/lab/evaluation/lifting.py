@@ -13,6 +13,7 @@ from common.rotations import quaternion_from_rotation
 from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
 
+FINGER_M = 0.07  # length of a finger
 START_M = 0.12  # the hand starts so far before the grasp
 TIMES_S = (0.4, 0.5, 0.8, 0.3, lift_trial.SHAKE_S)  # of `lift_trial.PHASES`
 
@@ -110,7 +111,6 @@ def nearest_object(scene: HeapScene, point: np.ndarray) -> int:
 
 def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gripper: Gripper, friction: float) -> str:
     """Returns the scene's world with the hand in it; the hand's origin is between the tips."""
-    finger_m = 0.07
     hold_n = 80.0  # greatest force of the hand along its approach and its lift: a hand on an obstacle stops
     half = 0.5 * gripper.thickness
     fingers = "".join(
@@ -121,8 +121,8 @@ def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gri
             x=side * (0.5 * opening + half),
             half_thickness=half,
             half_breadth=0.5 * gripper.breadth,
-            half_length=0.5 * finger_m,
-            z=-0.5 * finger_m,
+            half_length=0.5 * FINGER_M,
+            z=-0.5 * FINGER_M,
         )
         for n, side in enumerate((-1.0, 1.0))
     )
@@ -133,7 +133,7 @@ def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gri
         up=xml_text(R.T @ (0.0, 0.0, 1.0)),
         half_palm=0.5 * gripper.opening + gripper.thickness,
         half_breadth=0.75 * gripper.breadth,
-        palm_z=-finger_m - 0.01,
+        palm_z=-FINGER_M - 0.01,
         fingers=fingers,
     )
     return world_xml(scene.objects, friction, 5, hand, REST.format(hold=hold_n), scene.fixed)

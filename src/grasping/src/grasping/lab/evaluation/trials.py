@@ -132,15 +132,19 @@ def oracle(of: TrialScene) -> Peak | None:
 
 def executed(of: TrialScene, chosen: Peak | None, conditions: Conditions = USUAL) -> Executed | None:
     """Returns a grasp as the arm takes it, None where there is none; friction and error depend on the scene alone."""
-    rng = np.random.default_rng([99, of.number])
-    friction = float(rng.uniform(*FRICTION))
-    error = miss(rng, conditions)
+    friction, error = drawn(of.number, conditions)
     where = None if chosen is None else project_grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, camera())
     if where is None:
         return None
     T_world_grasp = pose(of.view.camera.R, of.view.camera.position) @ where.T_camera_grasp
     target = nearest_object(of.view.scene, T_world_grasp[:3, 3])
     return Executed(T_world_grasp @ error, where.width, friction, target)
+
+
+def drawn(number: int, conditions: Conditions) -> tuple[float, np.ndarray]:
+    """Returns the friction of a scene, and by how much the arm misses there, as `miss`."""
+    rng = np.random.default_rng([99, number])
+    return float(rng.uniform(*FRICTION)), miss(rng, conditions)
 
 
 def miss(rng: np.random.Generator, conditions: Conditions) -> np.ndarray:

@@ -34,7 +34,7 @@ from grasping.lab.synthetic.samples import GRIPPER, view
 from grasping.lab.synthetic.samples import SPLITS as ALL_SPLITS
 from grasping.network import maps, weights
 from grasping.pipeline.projection import along, project_grasp
-from grasping.poses.chooser import choose
+from grasping.poses.chooser import ImageMaps, choose
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD
 from grasping.poses.lift_network import LiftNetwork, loaded
 
@@ -73,9 +73,7 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
     seen = view(task.split, task.number, object_count(task.number))
-    rng = np.random.default_rng([99, task.number])
-    friction = float(rng.uniform(*trials.FRICTION))
-    miss = trials.miss(rng, trials.USUAL)
+    friction, miss = trials.drawn(task.number, trials.USUAL)
     T_world_camera = pose(seen.camera.R, seen.camera.position)
     rows = []
     for method, chosen in _chosen(task, image_maps(seen, ggcnn(task.ggcnn)), seen.observed).items():
@@ -92,7 +90,7 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
     return rows
 
 
-def _chosen(task: PoseTrialTask, of: Any, observed: np.ndarray) -> dict[str, ChosenPose | None]:
+def _chosen(task: PoseTrialTask, of: ImageMaps, observed: np.ndarray) -> dict[str, ChosenPose | None]:
     peak = maps.highest(of.maps)
     where = project_grasp(peak, trials.CROP, len(of.image.depth), observed, of.camera)
     above = None if where is None else along(where, of.frame().R[:, 2], of.camera)

@@ -1,7 +1,8 @@
 """Labels grasps in six degrees of freedom by lifting them in the physics, with the arm's error and a shake, and says
 on which fraction of the objects some of them lifts: of the sampled ones, chosen after the fact.
 
-A file a scene, SPLIT_OBJECTS_MOST_DRAWS_NUMBER.npz; what is there stays, so that a run goes on where it stopped.
+Writes one file for each scene, SPLIT_OBJECTS_MOST_DRAWS_NUMBER.npz. An existing file is kept, so a run resumes where it
+stopped.
 """
 
 from __future__ import annotations

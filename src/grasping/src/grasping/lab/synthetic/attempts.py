@@ -85,7 +85,7 @@ def _chosen(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int)
         parts.append(Hypotheses(T, opening, said_of(T, opening, *at[:5])))
     found = Hypotheses(*(np.concatenate(part) for part in zip(*parts))) if parts else usual
     if len(found.T):
-        T, opening = varied(found.part(rng.integers(len(found.T), size=most - len(found.T))), 1, rng, most_open)
+        T, opening = varied(found.part(rng.integers(len(found.T), size=most - len(found.T))), 1, rng, most_open, frame)
         near = Hypotheses(T, opening, said_of(T, opening, *at[:5]))
         found = Hypotheses(*(np.concatenate(pair) for pair in zip(found, near)))
     return found

@@ -15,11 +15,11 @@ import numpy as np
 
 from common.poses import pose
 from common.rotations import quaternion_from_rotation
+from grasping.lab.evaluation.lifting import FINGER_M
 from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
 
 DEPTHS_M = (0.003, 0.010, 0.020)  # of the tips beyond the line through both contacts
-FINGER_M = 0.07
 DOWN = np.array([0.0, 0.0, -1.0])
 
 PART = '<body name="{name}" pos="0 0 {high}"><freejoint/><geom type="box" size="{size}"/></body>'

@@ -23,7 +23,6 @@ class PoseLabels(NamedTuple):
     T: np.ndarray  # T_world_grasp, shape (k, 4, 4) [m]
     opening: np.ndarray  # shape (k,) [m]
     steep: np.ndarray  # as of `FullPose`, shape (k,) [rad]
-    tilt: np.ndarray  # shape (k,) [rad]
     reason: np.ndarray  # number in `REASONS`, 0 for a lift, shape (k, draws)
 
 
@@ -69,7 +68,6 @@ def labelled_scene(
                 np.array([one.T_world_grasp for one in found]).reshape(-1, 4, 4),
                 np.array([one.opening for one in found]),
                 np.array([one.steep for one in found]),
-                np.array([one.tilt for one in found]),
                 np.array(numbers, dtype=np.uint8).reshape(-1, draws),
             )
         )
