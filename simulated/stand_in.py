@@ -12,6 +12,7 @@ import sys
 import threading
 import traceback
 import xmlrpc.client
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -150,14 +151,6 @@ def _parameters(graph: Graph) -> dict[str, Any]:
         get_param(name)
         parameters.delete(graph.here.resolve(name))
 
-    def asked(function: Any) -> Any:
-        def ask(*args: Any) -> Any:
-            while graph.master_hangs:
-                clock.sleep(DELAY_S)
-            return function(*args)
-
-        return ask
-
     functions = {
         "get_param": get_param,
         "get_param_cached": get_param,
@@ -167,7 +160,18 @@ def _parameters(graph: Graph) -> dict[str, Any]:
         "delete_param": delete_param,
         "search_param": lambda name: parameters.search(name, graph.here.name),
     }
-    return {name: asked(function) for name, function in functions.items()}
+    return {name: _asked(graph, function) for name, function in functions.items()}
+
+
+def _asked(graph: Graph, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns a function that asks the master first, and so waits while that hangs."""
+
+    def ask(*args: Any, **named: Any) -> Any:
+        while graph.master_hangs:
+            clock.sleep(DELAY_S)
+        return function(*args, **named)
+
+    return ask
 
 
 def _waits(graph: Graph) -> dict[str, Any]:
@@ -246,8 +250,8 @@ def _topics(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         return len(self.impl.connections)
 
     for kind, init in ((rospy.Publisher, publisher), (rospy.Subscriber, subscriber)):
-        patch.setattr(kind, "__init__", init)
-        patch.setattr(kind, "unregister", unregister)
+        patch.setattr(kind, "__init__", _asked(graph, init))
+        patch.setattr(kind, "unregister", _asked(graph, unregister))
         patch.setattr(kind, "get_num_connections", connections)
     patch.setattr(rospy.Publisher, "publish", publish)
     patch.setattr(

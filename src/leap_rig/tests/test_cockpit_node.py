@@ -17,6 +17,7 @@ import rospy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
+from common.ros import sentence_writer
 from kuka_control.model.switches import Switches
 from kuka_control.ros import emergency
 from kuka_control.ros.services import Services
@@ -99,20 +100,8 @@ def pages(virtual_graph, monkeypatch, arms):
         made.append(Pages(*args, **more))
         return made[0]
 
-    def slow(call):
-        """As rospy, which waits for a master that hangs."""
-
-        def wait(*args, **more):
-            while graph.master_hangs:
-                clock.sleep(0.01)
-            return call(*args, **more)
-
-        return wait
-
     monkeypatch.setattr(cockpit_node, "SceneServer", lambda _: scene)
     monkeypatch.setattr(cockpit_node, "CockpitServer", serve)
-    for name in ("__init__", "unregister"):
-        monkeypatch.setattr(rospy.Subscriber, name, slow(getattr(rospy.Subscriber, name)))
     for arm in arms.split() or [""]:
         leap = {"engagement": "relative", "enabling": "device", "clutch": "none", "arm_choice": "service"}
         rospy.set_param(f"{arm}/leap".strip("/"), leap)
@@ -179,11 +168,13 @@ def test_a_paused_terminal_stops_only_who_writes_on_it(pages, monkeypatch):
 
     def write(sentence, **_):
         clock.sleep(1.0)
+        if sentence == "lost":
+            raise OSError("no space left on device")
         written.append(sentence)
 
-    monkeypatch.setattr(cockpit_node, "print", write, raising=False)
+    monkeypatch.setattr(sentence_writer, "print", write, raising=False)
     began = clock.monotonic()
-    for sentence in ("first", "second"):
+    for sentence in ("first", "lost", "second"):
         pages.tell_code(sentence)
     assert clock.monotonic() == began and "first" not in written
     pages.wait(lambda: written[-2:] == ["first", "second"], 5.0, "the sentences")

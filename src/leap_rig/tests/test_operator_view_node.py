@@ -1,5 +1,6 @@
 """The node operator_view: what it shows to those who look, what it hears only then, and its silence without a card."""
 
+import signal
 import subprocess
 
 import numpy as np
@@ -121,6 +122,28 @@ def test_it_shows_what_came_to_those_who_look_and_hears_only_then(ros, rig):
         looker.unregister()
     clock.sleep(PERIOD_S + DELAY_S)
     assert ros.names("/operator_view")["hears"] == set()
+
+
+def test_while_the_master_hangs_who_looks_sees_what_is_new(ros, rig):
+    def look_at_hands():
+        rospy.init_node("looker")
+        rospy.Subscriber("operator_view/hands", MarkerArray)
+        rospy.spin()
+
+    ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
+    views, looker = ros.record("operator_view/rows", OperatorView), ros.start("looker", look_at_hands)
+    clock.sleep(1.0)
+    hand = "/leap_motion/leap_device"
+    assert hand in ros.names("/operator_view")["hears"]
+    ros.master_hangs = True
+    looker.send_signal(signal.SIGKILL)
+    clock.sleep(1.0)
+    rig.state = "running"
+    clock.sleep(0.5)
+    assert "running: why" in [row.text for row in views[-1].rows]
+    ros.master_hangs = False
+    clock.sleep(0.5)
+    assert hand not in ros.names("/operator_view")["hears"]
 
 
 def test_the_cloud_is_thinned_and_asked_for_once_a_second(ros):

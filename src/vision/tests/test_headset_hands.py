@@ -31,6 +31,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
+from common.ros import sentence_writer
 from leap_motion.msg import Human
 from vision.ros.stereo import headset_hands
 from vision.stereo.view import WebConfig
@@ -248,6 +249,9 @@ def test_in_a_browser_the_page_sends_hands_until_the_headset_is_taken_off(ros, f
         enter(said("next headset is "))
         wait_until(lambda: evaluate("!!drive.scene.leap"), 30.0, "the placement")
         assert evaluate("drive.scene.leap") == pytest.approx([*origin, 0.0], abs=1e-3)
+        evaluate("view.socket.close(); 0")
+        kept = "view.socket.readyState === 1 && view.socket.url.endsWith('&ticket=' + sessionStorage.getItem('ticket'))"
+        wait_until(lambda: evaluate(kept), 30.0, "the images again, with the ticket")
         evaluate("window.started = performance.now(); 0")
         wait_until(lambda: any(human.right_hand.is_present for human in rig.humans[-5:]), 30.0, "the hand")
         wait_until(rig.runs, 30.0, "the stream")
@@ -331,6 +335,25 @@ def test_in_a_browser_hands_rest_while_the_only_view_is_old_and_none_wait_for_a_
     camera.close()
 
 
+def test_a_paused_terminal_stops_no_page(virtual_graph, monkeypatch):
+    paused = [True]
+
+    def write(*_, **__):
+        while paused:
+            clock.sleep(0.01)
+
+    plain = SimpleNamespace(server=lambda: None, fingerprint=lambda: "")
+    monkeypatch.setattr("vision.ros.stereo.web_node.own_certificate", lambda _: plain)
+    _, said = start_rig(virtual_graph, 6437, virtual_graph.wait_until)
+    page, code = Page(said("The view is at "), [], []), said("next headset is ")
+    monkeypatch.setattr(sentence_writer, "print", write, raising=False)
+    monkeypatch.setattr(headset_hands, "rospy", SimpleNamespace(**{**vars(rospy), "logwarn": write}))
+    assert page.says(secret=code)["drives"]
+    assert "note" in page.says(away=True)
+    paused.clear()
+    page.close()
+
+
 def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monkeypatch, capsys):
     """The log goes to /rosout, and with it into every recording."""
     logged = []
@@ -341,6 +364,7 @@ def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monke
     )
     try:
         code = hands.endpoint.access.code
+        clock.sleep(0.1)
         said = capsys.readouterr()
         assert code in said.err and code not in said.out and not any(code in text for text in logged)
     finally:

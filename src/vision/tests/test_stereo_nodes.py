@@ -123,6 +123,26 @@ def test_a_page_gets_each_image_once_and_the_camera_rests_without_a_page(virtual
     assert not camera.watched()
 
 
+def test_while_the_master_hangs_pages_come_and_go_and_get_images(virtual_graph, node, camera):
+    def shows_images():
+        page = connect(URL)
+        clock.sleep(REFRESH_S + SOON_S)
+        for _ in range(2):
+            camera.publish()
+            clock.sleep(0.02)
+        found = ask(page)[0]["picture"]
+        page.close()
+        return found
+
+    assert shows_images()
+    virtual_graph.master_hangs = True
+    clock.sleep(1.0)
+    assert shows_images()
+    virtual_graph.master_hangs = False
+    clock.sleep(REFRESH_S + SOON_S)
+    assert not camera.watched()
+
+
 def test_a_late_page_gets_the_newest_image_alone_and_its_age(node, camera):
     page = connect(URL)
     clock.sleep(REFRESH_S + SOON_S)

@@ -30,6 +30,7 @@ from common.ros.node import repeat
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
 from common.ros.raw_tf import publisher_of
+from common.ros.sentence_writer import SentenceWriter
 from common.ros.service_calls import MasterLost, ServiceFailed, ask_master, call, master_answers
 from kuka_control.ros.controller_link import CALL_TIMEOUT_S, ControllerLink, PanelUpdate
 from leap_hand.ros.operators import known_names
@@ -132,23 +133,6 @@ def _ask(
         answers.put((answer.success, answer.message))
 
     clock.Thread(target=ask, name=service, daemon=True).start()
-
-
-class SentenceWriter:
-    """Shows sentences on the terminal alone: what is logged goes to /rosout, and so into recordings. In a thread of its
-    own: a paused terminal (Ctrl-S) stops who writes."""
-
-    def __init__(self) -> None:
-        self._sentences: clock.SimpleQueue[str] = clock.SimpleQueue()
-        clock.Thread(target=self._write, name="terminal", daemon=True).start()
-
-    def show(self, sentence: str) -> None:
-        self._sentences.put(sentence)
-
-    def _write(self) -> None:
-        while True:
-            sentence = self._sentences.get()
-            print(sentence, file=sys.stderr, flush=True)
 
 
 class ArmLink:

@@ -31,7 +31,7 @@ from common.frames import (
 from common.ros.node import repeat
 from common.ros.on_demand import OnDemand
 from common.ros.raw_tf import RawTfMessage
-from common.ros.service_calls import MasterLost, ask_master, master_answers
+from common.ros.service_calls import MasterLost, ask_master
 from leap_rig.cockpit.cloud import CloudFault, thinned
 from leap_rig.cockpit.markers import MOST_MARKERS, MarkerStore
 from leap_rig.cockpit.robot_tree import DescriptionFault
@@ -99,10 +99,9 @@ class SceneFeed:
     def _follow(self) -> None:
         """Subscribes and unsubscribes, and reads descriptions, while the master answers."""
         on, now = self._on, clock.monotonic()
+        self._listen.follow(on)
         # One message of the cloud at a time: its node computes none that nobody wants.
-        for listen, wanted in ((self._listen, on), (self._listen_cloud, on and now >= self._next_cloud)):
-            if wanted is not bool(listen.subscribers) and master_answers():
-                listen(wanted)
+        self._listen_cloud.follow(on and now >= self._next_cloud)
         if on and now >= self._next_description:
             self._read_descriptions()
             all_known = len(self._described) == len(self._arms)

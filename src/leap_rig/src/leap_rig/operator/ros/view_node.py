@@ -19,7 +19,7 @@ from common.config import parse
 from common.frames import VIRTUAL_LEAP
 from common.hand_tracking import ANY, LEFT, RIGHT
 from common.robot_hand import HAND, hand_state
-from common.ros.node import while_running
+from common.ros.node import repeat, while_running
 from common.ros.on_demand import OnDemand
 from common.ros.params import arm_frames, private_config
 from common.teleop_record import teleop_record
@@ -67,22 +67,18 @@ class OperatorViewNode:
         self._markers = rospy.Publisher("operator_view/markers", MarkerArray, queue_size=2)
         self._hands = rospy.Publisher("operator_view/hands", MarkerArray, queue_size=2)
         self._cloud = rospy.Publisher("operator_view/cloud", PointCloud2, queue_size=1)
+        repeat(self._follow, PERIOD_S, "topics")  # beside the view: rospy waits for a master that hangs
 
     def step(self) -> None:
         """Publishes what the operator sees now, to those who look."""
-        looks = any(publisher.get_num_connections() for publisher in (self._rows, self._markers))
-        self._listen(looks or self._speaker is not None)
-        self._watch_hands(self._hands.get_num_connections() > 0)
         now = clock.monotonic()
-        # One at a time: its node computes none that nobody wants.
-        self._watch_cloud(self._cloud.get_num_connections() > 0 and now >= self._next_cloud)
         with self._lock:
             rows, cue, taxels = self._view.rows(now), self._view.cue(now), self._view.taxels(now)
         sound = self._sounds.step(cue, now)
         if sound is not None and self._speaker is not None:
             self._speaker.play(sound)
         shown, at = self._published
-        if not looks or (rows == shown and now - at < HEARTBEAT_S):
+        if not self._looks or (rows == shown and now - at < HEARTBEAT_S):
             return
         self._published = rows, now
         if self._markers.get_num_connections():
@@ -90,6 +86,16 @@ class OperatorViewNode:
         if self._rows.get_num_connections():
             lines = [OperatorRow(r.name, r.text, r.tone.value, r.kind, r.labels, r.values) for r in rows]
             self._rows.publish(OperatorViewMessage(Header(stamp=rospy.Time.now()), lines))
+
+    @property
+    def _looks(self) -> bool:
+        return any(publisher.get_num_connections() for publisher in (self._rows, self._markers))
+
+    def _follow(self) -> None:
+        self._listen.follow(self._looks or self._speaker is not None)
+        self._watch_hands.follow(self._hands.get_num_connections() > 0)
+        # One at a time: its node computes none that nobody wants.
+        self._watch_cloud.follow(self._cloud.get_num_connections() > 0 and clock.monotonic() >= self._next_cloud)
 
     def _input_subscribers(self) -> list[rospy.Subscriber]:
         return [

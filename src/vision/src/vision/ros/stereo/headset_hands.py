@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import rospy
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -12,6 +10,7 @@ from common.errors import DeviceError
 from common.frames import TOOL_DESIRED, VIRTUAL_LEAP
 from common.ros.on_demand import OnDemand
 from common.ros.raw_tf import TransformSearch
+from common.ros.sentence_writer import SentenceWriter
 from common.teleop_record import teleop_record
 from leap_motion.headset.hand_stream import HandFrame, HandStream
 from leap_motion.headset.transport import HandsEndpoint, Scene
@@ -24,7 +23,7 @@ FRESH_S = 0.3  # an older desired tool is not drawn
 
 
 class RigScene:
-    """Called, returns what leap_kuka publishes. `watch(True)` listens to the desired tool as well."""
+    """Called, returns what leap_kuka publishes. `watch` listens to the desired tool as well."""
 
     def __init__(self) -> None:
         height_m = 0.35  # of the box above the Leap, until leap_kuka publishes it
@@ -71,7 +70,8 @@ class HeadsetHands:
         self._frames = 0
         self._scene = RigScene()
         stream = HandStream(config.box_ahead, config.box_below)
-        self.endpoint = HandsEndpoint(stream, self, self._scene, lambda text: rospy.logwarn("%s", text), _show)
+        log, terminal = SentenceWriter(lambda text: rospy.logwarn("%s", text)), SentenceWriter()
+        self.endpoint = HandsEndpoint(stream, self, self._scene, log.show, terminal.show)
         self._thread = clock.Thread(target=self._service.run, name="leap service", daemon=True)
         self._thread.start()
 
@@ -87,15 +87,9 @@ class HeadsetHands:
 
     def watch(self) -> None:
         """Listens to what the page draws while a headset drives."""
-        self._scene.watch(self.endpoint.driven)
+        self._scene.watch.follow(self.endpoint.driven)
 
     def close(self) -> None:
         close_s = 2.0
         self._service.stop()
         self._thread.join(close_s)
-
-
-def _show(sentence: str) -> None:
-    """Writes on the terminal alone: what is logged goes to /rosout, and so into recordings, and `make demo` keeps what
-    nodes write to standard output in files."""
-    print(sentence, file=sys.stderr, flush=True)

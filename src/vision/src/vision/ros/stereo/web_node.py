@@ -21,6 +21,7 @@ from common import clock
 from common.errors import DeviceError
 from common.operator_rows import OLD_ROWS_S, rows_of
 from common.ros.diagnostics import Diagnostics
+from common.ros.node import repeat
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
 from leap_motion.headset.transport import MAX_MESSAGE_BYTES, HandsEndpoint
@@ -132,12 +133,16 @@ def main() -> None:
     images = StereoImageSource(config)
     view = OnDemand(lambda: [rospy.Subscriber("operator_view/rows", OperatorView, web.put_view, queue_size=1)])
     Diagnostics("stereo_web", images.diagnose)
+
+    def follow() -> None:
+        images.subscribe.follow(web.watched)
+        view.follow(web.watched)
+        if hands:
+            hands.watch()
+
+    repeat(follow, refresh_s, "topics")  # beside the images: rospy waits for a master that hangs
     try:
         while not rospy.is_shutdown():
-            images.subscribe(web.watched)
-            view(web.watched)
-            if hands:
-                hands.watch()
             shown = images.wait(refresh_s)
             if shown is not None and shown.new and web.watched:
                 web.put(_picture(shown))
