@@ -17,7 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
-from leap_motion.service.access import MAX_GUESSES
+from leap_motion.service.access import MAX_GUESSES, VisitLimits
 from leap_motion.service.socket_service import PAGE_CONNECTIONS, PAGE_CONNECTIONS_OF_ADDRESS
 from leap_rig.cockpit.control import HEARTBEAT_S, HeldSwitches
 from leap_rig.cockpit.server import MAX_PAGES, PAGES_OF_ADDRESS, CockpitServer, ScenePage
@@ -51,6 +51,7 @@ class Served:
         )  # fmt: skip
         self.server.control.fresh_s = math.inf  # but where a test is about it
         self.server._doors[0][0]._limits._grace_s = 0.0  # else a flood is refused for a moment
+        self.server._openings = VisitLimits(1000, 1000)
         self.host = self.server.address.split("/")[2]
 
     @property
@@ -331,6 +332,28 @@ def test_a_crowd_leaves_room_for_a_page_with_the_code_on_every_path(served):
         served.server.put_picture("wrist", Picture(np.zeros((8, 8, 3), np.uint8), 1.0, 2.0, {}))
         kept[2].send("{}")
         assert answer(kept[2])["picture"]
+
+
+def test_a_flood_that_opens_the_scene_waits_and_a_page_with_the_ticket_does_not(served):
+    for_ever_s = 1e9
+    served.server._openings = VisitLimits(3, 2, for_ever_s)
+    path = served.server.scene_path
+    assert [get(served, path)[0] for _ in range(4)] == [200, 200, 429, 429]
+    assert get(served, path)[2]["Refresh"]
+    with pytest.raises(InvalidStatus, match="429"):
+        served.socket(path)
+    with pytest.raises(InvalidStatus, match="403"):
+        served.socket(path, "127.0.0.2", origin="http://evil.example")
+    with served.socket(path, "127.0.0.2") as socket:
+        socket.send(b"x")
+        assert socket.recv(timeout=60.0) == b"x"
+    with pytest.raises(InvalidStatus, match="429"):
+        served.socket(path, "127.0.0.3")
+    ticket = served.server.control.access.ticket
+    assert get(served, f"{path}/{ticket}")[0] == 200
+    with served.socket(f"{path}/{ticket}") as socket:
+        socket.send(b"x")
+        assert socket.recv(timeout=60.0) == b"x"
 
 
 def test_the_ticket_alone_keeps_nobody_off_the_stop(served):

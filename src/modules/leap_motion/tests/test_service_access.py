@@ -15,6 +15,7 @@ from leap_motion.service.access import (
     AccessCode,
     ConnectionLimits,
     Place,
+    VisitLimits,
     is_loopback,
     is_own_host,
 )
@@ -63,6 +64,21 @@ def test_a_kept_place_gives_way_to_none_and_is_given_while_others_are_there(step
         elif chosen:
             chosen.kept = True
         assert len(places) <= 3 and limits._places == places
+
+
+VISITORS = st.sampled_from(["10.0.0.1", "10.0.0.2", "10.0.0.3", "2001:db8::1", "2001:db8::2"])
+
+
+@given(st.lists(st.tuples(VISITORS, st.floats(0.0, 0.5)), max_size=60))
+def test_in_each_period_there_are_as_many_visits_as_allowed_and_none_that_was_refused_counts(visits):
+    limits, now, admitted = VisitLimits(5, 3, 2.0), 0.0, []
+    for address, later in visits:
+        now += later
+        machine, period = "one network" if ":" in address else address, now // 2.0
+        present = [each for when, each in admitted if when == period]
+        room = len(present) < 5 and present.count(machine) < 3
+        assert limits.admit(address, now) is room
+        admitted += [(period, machine)] * room
 
 
 def test_a_new_connection_has_a_moment_but_for_those_of_a_machine_that_had_the_code():

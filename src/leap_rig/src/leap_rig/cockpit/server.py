@@ -22,7 +22,7 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from common import clock
-from leap_motion.service.access import ConnectionLimits, Place
+from leap_motion.service.access import ConnectionLimits, Place, VisitLimits
 from leap_motion.service.certificate import Certificate
 from leap_motion.service.socket_service import PAGE_CONNECTIONS, SEND_S, PageService, cutter, page_response
 from leap_rig.cockpit.control import CockpitControl, CockpitPage, HeldSwitches
@@ -52,6 +52,7 @@ SECRET_S = 30.0  # a page without the code may keep its connection for it so lon
 GONE_S = 5.0  # a page with the code that was silent for so long is gone
 BUSY, REFUSED = 1013, 1008  # codes of closing
 MAX_PAGES, PAGES_OF_ADDRESS = 8, 4
+OPENINGS_S = 10.0  # in which each of these pages may load the scene once: it is large, and costs the server its time
 
 
 class ScenePage(NamedTuple):
@@ -99,6 +100,7 @@ class CockpitServer(PageService):
             "/control": ConnectionLimits(PAGE_CONNECTIONS, PAGES_OF_ADDRESS, newest_first=True),
             **{path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS) for path in ("/state", self.scene_path)},
         }
+        self._openings = VisitLimits(2 * MAX_PAGES, 2 * PAGES_OF_ADDRESS, OPENINGS_S)  # page and WebSocket
         self._open_pages = self._open_scenes = self._number = 0
         self.pictures = PictureStream(self._loop, dict, MAX_PAGES, PAGES_OF_ADDRESS, jpeg_quality, way, cameras)
         self._say_code()
@@ -165,7 +167,14 @@ class CockpitServer(PageService):
         scenes = (self.scene_path, f"{self.scene_path}/{self.control.access.ticket}")
         for scene in scenes:
             pages[scene] = lambda: page_response(self._scene_html, *SCENE_HEADERS)
-        return self._answer(connection, request, pages, ("/state", "/control", "/pictures", *scenes), scenes)
+        answer = self._answer(connection, request, pages, ("/state", "/control", "/pictures", *scenes), scenes)
+        if request.path.partition("?")[0] != self.scene_path or (answer is not None and answer.status_code != 200):
+            return answer
+        if self._openings.admit(connection.remote_address[0], clock.monotonic()):
+            return answer
+        refused = connection.respond(429, "Too many pages open the scene; this one tries again.\n")
+        refused.headers["Refresh"] = f"{OPENINGS_S:g}"
+        return refused
 
     async def _converse(self, connection: ServerConnection) -> None:
         path = self._path(connection)

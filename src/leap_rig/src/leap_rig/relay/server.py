@@ -11,7 +11,7 @@ import ipaddress
 import re
 import secrets
 import socket
-from collections import Counter, deque
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 
 from websockets.asyncio.server import ServerConnection
@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
-from leap_motion.service.access import ConnectionLimits, is_loopback
+from leap_motion.service.access import ConnectionLimits, VisitLimits, is_loopback
 from leap_motion.service.socket_service import BoundedListener, SocketService, listen
 from leap_rig.relay import greeting
 from leap_rig.relay.greeting import CHUNK, NONCE, VISITOR, RelayFault
@@ -32,25 +32,6 @@ MAX_VISITS, VISITS_OF_ADDRESS = 60, 20  # new ones in a second, to all pages
 MAX_RIG_SOCKETS = 160
 REFUSED, BUSY = 1008, 1013  # codes of closing
 FORWARDED = re.compile(rb"^X-Forwarded-For:(.*)$", re.IGNORECASE | re.MULTILINE)
-
-
-class VisitLimits:
-    """How many new connections there may be in a second: `total`, and `per_address` of one browser's machine."""
-
-    def __init__(self, total: int, per_address: int) -> None:
-        self._total, self._per_address = total, per_address
-        self._second = 0
-        self._of: Counter[str] = Counter()
-
-    def admit(self, address: str, now: float) -> bool:
-        """Counts a connection; returns False, and does not, if there were too many in this second [s]."""
-        before, self._second = self._second, int(now)
-        if self._second != before:
-            self._of.clear()
-        if self._of[address] >= self._per_address or sum(self._of.values()) >= self._total:
-            return False
-        self._of[address] += 1
-        return True
 
 
 class WaitingRig:

@@ -9,6 +9,7 @@ import ipaddress
 import math
 import re
 import secrets
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from urllib.parse import urlsplit
@@ -75,6 +76,25 @@ class ConnectionLimits:
         if place.kept:
             known = [machine for machine in self._known if machine != place.machine]
             self._known = [*known[1 - MAX_KEYS :], place.machine]
+
+
+class VisitLimits:
+    """How many visits there may be in each `period_s`: `total`, and `per_address` of one machine."""
+
+    def __init__(self, total: int, per_address: int, period_s: float = 1.0) -> None:
+        self._total, self._per_address, self._period_s = total, per_address, period_s
+        self._period = 0
+        self._of: Counter[str] = Counter()
+
+    def admit(self, address: str, now: float) -> bool:
+        """Counts a visit at `now` [s]; returns False, and does not, if there were too many in this period."""
+        machine, before, self._period = _machine(address), self._period, int(now / self._period_s)
+        if self._period != before:
+            self._of.clear()
+        if self._of[machine] >= self._per_address or sum(self._of.values()) >= self._total:
+            return False
+        self._of[machine] += 1
+        return True
 
 
 class AccessCode:
