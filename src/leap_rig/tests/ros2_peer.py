@@ -37,10 +37,11 @@ def say(**what):
     print(json.dumps(what), flush=True)
 
 
-def listen(node):
+def listen(node, arm=""):
     for topic, (kind, read) in HEARD.items():
         quality = LATCHED if topic in ("tf_static", "robot_description") else 10
-        node.create_subscription(kind, f"/{topic}", lambda m, t=topic, r=read: say(topic=t, value=r(m)), quality)
+        name = f"/{topic}" if topic.startswith(("tf", "diagnostics", "camera")) else f"/{arm}{topic}"
+        node.create_subscription(kind, name, lambda m, t=topic, r=read: say(topic=t, value=r(m)), quality)
 
 
 def mistake(node):

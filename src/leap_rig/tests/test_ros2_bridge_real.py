@@ -1,5 +1,6 @@
 """The bridge to ROS 2 with real nodes on both sides. `make ros2` installs what they need."""
 
+import contextlib
 import json
 import math
 import os
@@ -15,6 +16,7 @@ import pytest
 
 pytest.importorskip("rig_msgs.srv")
 import actionlib
+import rosgraph
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TransformStamped, Vector3, Vector3Stamped
@@ -95,24 +97,27 @@ def bridge(ros, peer, wait_until):
 
 
 class Rig:
-    """Publishes ten times a second what the rig does, until it is closed."""
+    """Publishes ten times a second what the rig does, or one `arm` of several, until it is stopped."""
 
-    def __init__(self):
+    def __init__(self, arm=""):
         kinds = {
-            "joint_states": JointState(Header(), ["kuka/joint_1"], [0.5], [], []),
+            "joint_states": JointState(Header(), [f"{arm}kuka/joint_1"], [0.5], [], []),
             "/tf": TFMessage([self.transform("kuka/link_1")]),
             "kuka/flange_force": Vector3Stamped(Header(), Vector3(1.5, 0.0, 0.0)),
             "kuka/flange_torque": Vector3Stamped(Header(), Vector3(0.0, 0.0, 2.5)),
             "camera/rgb/image_raw": image_message(np.zeros((48, 64, 3), np.uint8), "rgb8", "camera", rospy.Time(1)),
             "camera/rgb/camera_info": CameraInfo(height=48, width=64, K=[50.0, *[0.0] * 8]),
-            "leap_kuka/stream": DiagnosticStatus(message="a hand is followed"),
+            "leap_kuka/stream": DiagnosticStatus(message=f"{arm or 'a'} hand is followed"),
             "leap_kuka/state": TeleopState(state="running", follows=True, limits=["yaw"]),
             "kuka/status": KukaStatus(mode="stopped", reason="It stands."),
         }
-        self.publishers = {rospy.Publisher(topic, type(m), queue_size=1): m for topic, m in kinds.items()}
+        self.publishers = {
+            rospy.Publisher(topic if topic.startswith(("/", "camera")) else arm + topic, type(m), queue_size=1): m
+            for topic, m in kinds.items()
+        }
         self.static = [rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)]
         self.static[0].publish(TFMessage([self.transform("kuka/flange")]))
-        rospy.set_param("robot_description", "<robot/>")
+        rospy.set_param(f"{arm}robot_description", f"<robot name='{arm}'/>")
         self.stop = threading.Event()
         threading.Thread(target=self.run, daemon=True).start()
 
@@ -147,7 +152,7 @@ def test_ros2_hears_the_rig(bridge, rig, peer, wait_until, ros):
         "joint_states": ["kuka/joint_1", 0.5],
         "tf": ["kuka/link_1"],
         "tf_static": ["kuka/flange"],
-        "robot_description": "<robot/>",
+        "robot_description": "<robot name=''/>",
         "kuka/flange_wrench": [1.5, 2.5],
         "camera/rgb/image_raw/compressed": ["rgb8; jpeg compressed bgr8", True],
         "camera/rgb/camera_info": [48, 64, 50.0],
@@ -317,3 +322,64 @@ def test_each_of_two_arms_has_its_own_door(ros, peer, wait_until):
             server.close()
         for arm in ("left", "right"):
             rospy.delete_param(f"{arm}/tf_prefix")
+
+
+@needs_ros2
+def test_ros2_hears_each_of_two_arms_by_its_name(ros, peer, wait_until):
+    ros.run("leap_rig", "ros2_bridge.py", "_arms:=[left, right]")
+    rigs = {arm: Rig(arm) for arm in ("left/", "right/")}
+    try:
+        for arm, listener in {arm: peer("listen", arm) for arm in rigs}.items():
+            wanted = {
+                "joint_states": [f"{arm}kuka/joint_1", 0.5],
+                "robot_description": f"<robot name='{arm}'/>",
+                "kuka/flange_wrench": [1.5, 2.5],
+                "leap_kuka/stream": f"{arm} hand is followed",
+            }
+            heard = lambda of=listener: {line["topic"]: line["value"] for line in of.lines()}  # noqa: E731
+            wait_until(lambda: wanted.items() <= heard().items() and len(heard()) == 11, 60.0, f"all of {arm}")  # noqa: B023
+    finally:
+        for rig in rigs.values():
+            rig.stop.set()
+
+
+@needs_ros2
+def test_after_a_restart_of_nodes_it_goes_on_and_after_one_of_the_master_it_says_what_to_do(
+    processes, peer, free_port, wait_until, tmp_path
+):
+    uri = f"http://localhost:{free_port()}"
+    own = {"ROS_MASTER_URI": uri, "ROS_HOME": str(tmp_path), "ROS_LOG_DIR": str(tmp_path / "log")}
+
+    def begin():
+        core = processes.start("rosmaster", "--core", "-p", uri.rpartition(":")[2], env=own)
+        master = rosgraph.Master("/test", uri)
+
+        def answers():
+            with contextlib.suppress(OSError):
+                return master.getPid()
+
+        wait_until(answers, 30.0, "the master")
+        return core
+
+    def node(says):
+        kind, value = "diagnostic_msgs/DiagnosticStatus", f"{{message: {says}}}"
+        return processes.start("rostopic", "pub", "-r", "10", "leap_kuka/stream", kind, value, env=own)
+
+    core, first = begin(), node("first")
+    bridge = processes.start("rosrun", "leap_rig", "ros2_bridge.py", env=own)
+    listener = peer("listen")
+
+    def heard(text):
+        assert bridge.poll() is None, bridge.log_path.read_text()
+        return any(line["topic"] == "leap_kuka/stream" and line["value"] == text for line in listener.lines())
+
+    wait_until(lambda: heard("first"), 60.0, "the node")
+    processes.end(first)
+    node("second")
+    wait_until(lambda: heard("second"), 60.0, "the node that was started anew")
+    core.kill()
+    wait_until(lambda: "start it again" in bridge.log_path.read_text(), 30.0, "the sentence")
+    assert bridge.poll() is None
+    begin()
+    assert bridge.wait(60.0) == 1
+    assert "was started anew and does not know this node" in bridge.log_path.read_text()

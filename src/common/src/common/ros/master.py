@@ -156,7 +156,7 @@ class MasterWatch:
                     if gone and not self._knows_this_node():
                         self.fault = (
                             f"The ROS master at {uri} was started anew and does not know this node, which exits: start "
-                            "the launch file again."
+                            "it, or its launch file, again."
                         )
                         rospy.logfatal(self.fault)
                         rospy.signal_shutdown("the ROS master was started anew")
@@ -172,7 +172,7 @@ class MasterWatch:
             if not gone:
                 gone = True
                 sentence = f"The ROS master at {uri} is gone: nobody can call a service of this node any more."
-                rospy.logerr(sentence)
+                rospy.logerr(f"{sentence} Beside the next rig, start it again.")
                 for call in self.lost:
                     call(sentence)
             clock.sleep(RETRY_S)

@@ -271,8 +271,8 @@ def main() -> None:
         node.create_timer(LOOK_S, job)
     hear = partial(_hear, other, topics, relays, request["rescue"])
     clock.Thread(target=hear, name="ROS 1", daemon=True).start()
-    topics.report()
     try:
+        topics.report()
         executor.spin()
     except OSError:  # the other side has gone; _hear ends this process
         clock.Event().wait()
