@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from leap_rig.cockpit.scene import DRAW_LESS, TELL_DRAWN, WORKER, SceneServer
+from leap_rig.cockpit.scene import DRAW_LESS, ONE_ARM, TELL_DRAWN, WORKER, SceneServer
 from leap_rig.cockpit.server import MAX_PAGES, CockpitServer, ScenePage
 from simulated.chromium import browser
 from vision.stereo.transport import Picture
@@ -35,7 +35,7 @@ ARM = {
     "leap": {"engagement": "relative", "enabling": "device", "clutch": "device"}, "device": "",
     "operator": "anna", "operators": ["", "anna", "bo"],
 }  # fmt: skip
-CODES = {"Tab": 9, "Enter": 13, "Escape": 27, " ": 32}
+CODES = {"Tab": 9, "Enter": 13, "Escape": 27, " ": 32, "ArrowLeft": 37}
 OVERLAPS = """(() => {
   const all = [...document.querySelectorAll("section, button")].filter(e => e.offsetParent);
   const rest = document.querySelector("main"), port = rest.getBoundingClientRect(), found = [];
@@ -325,6 +325,19 @@ def test_the_scene_says_when_it_is_drawn_how_large_its_view_is_and_when_it_is_ol
             page.until(drawn, what="the scene")
             size = evaluate("[$('view').clientWidth, $('view').clientHeight]")
             page.until(lambda: (eye := scene._eye()) and [eye.width, eye.height] == size, what="its size")
+            evaluate("$('stop').focus(), 0")
+
+            def turned():
+                drawn()
+                (x, y, _), middle = scene._eye().position, ONE_ARM.middle
+                return abs(math.atan2(y - middle[1], x - middle[0]) - ONE_ARM.yaw)
+
+            page.until(lambda: turned() < 0.01, what="the view of the start")
+            for name in ("Tab", "ArrowLeft"):
+                code = {"key": name, "code": name, "windowsVirtualKeyCode": CODES[name]}
+                evaluate.call("Input.dispatchKeyEvent", type="keyDown", **code)
+                page.until(lambda: evaluate("document.activeElement.id") == "view", what="the focus of the scene")
+            page.until(lambda: turned() > 0.1, what="a turn by the keyboard")
             scene.close()
             old = "$('notice').textContent === 'The scene is old.'"
             page.until(lambda: (drawn(), evaluate(old))[1], what="the end of its connection")

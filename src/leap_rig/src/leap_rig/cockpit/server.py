@@ -39,12 +39,14 @@ from leap_rig.cockpit.messages import (
 )
 from vision.stereo.transport import AUTO, Picture, PictureStream
 
-ESCAPE = b"""<script>
+KEYS = b"""<script>
+document.body.tabIndex = 0;
 addEventListener("keydown", event => {
   if (event.key === "Escape" && !event.repeat) parent.postMessage("stop", "*");
 });
 </script>"""
-"""The scene's frame is sandboxed, so that the browser draws it in a process of its own: the stop never waits for it."""
+"""The scene's frame is sandboxed, so that the browser draws it in a process of its own: the stop never waits for it.
+The key Tab comes to its body, where viser takes the arrow keys."""
 SCENE_HEADERS = ("Content-Encoding", "gzip"), ("Content-Security-Policy", "frame-ancestors 'self'")
 MAX_RATE = 50  # messages of a page on /control in a second; a page sends 10
 STOP_TEXT = '{"do":"stop"}'  # as the page sends it
@@ -90,7 +92,7 @@ class CockpitServer(PageService):
     ) -> None:
         jpeg_quality = 80
         self.scene_path = f"/scene/{secrets.token_urlsafe(16)}"  # a sandboxed frame has no origin to be checked
-        self._page, self._scene_html, self._script = page.read_bytes(), gzip.compress(scene.html + ESCAPE), script
+        self._page, self._scene_html, self._script = page.read_bytes(), gzip.compress(scene.html + KEYS), script
         super().__init__(host, port, name, certificate, public)
         self._scene, self._obey, self._stop, self._tell_code = scene, obey, stop, tell_code
         self.control, self._lock = CockpitControl(tuple(arms)), clock.Lock()
