@@ -117,13 +117,13 @@ def test_a_held_tool_is_taken_over_where_it_is_and_the_leap_stays_upright(
 
 
 def test_a_tool_that_is_not_tilted_as_at_home_is_not_held(leap, arm, player):
-    q_home = quaternion_from_rotation(rotation_about(1, 0.4) @ np.diag([-1.0, 1.0, -1.0])).tolist()
+    q_home = quaternion_from_rotation(rotation_about(1, 0.9) @ np.diag([-1.0, 1.0, -1.0])).tolist()
     teleop = teleop_of(leap, arm, (1, 0, 0), (0, 0, 0), use_home_pos=True, rotation_home=q_home)
     teleop.control(True)
     frames = player(teleop)
     frames.step()
     answer = teleop.hold(pose(np.diag([-1.0, 1.0, -1.0]), (0.4, 0.1, 0.35)), 100.0, frames.now)
-    assert not answer.success and "tilted by 22.9 deg and must be tilted as at home" in answer.sentence
+    assert not answer.success and "tilted by 51.6 deg and must be tilted as at home" in answer.sentence
 
 
 @pytest.mark.parametrize("rotation_home", [None, [0.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]])

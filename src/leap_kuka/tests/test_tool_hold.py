@@ -64,9 +64,10 @@ def test_the_tool_is_held_with_every_frame_until_the_time_is_over(holding):
 
 
 @settings(max_examples=30)
-@given(place, st.floats(-180.0, 180.0), st.floats(-9.0, 9.0), st.floats(-180.0, 180.0), level, level, in_box, in_box)
+@given(place, st.floats(-180.0, 180.0), st.floats(-49.0, 49.0), st.floats(-180.0, 180.0), level, level, in_box, in_box)
 def test_a_hand_begins_exactly_where_the_tool_is_held(holding, sample, p, turn, tilt, yaw, pitch, roll, x, z):
-    """Whatever its place in the box, its heading and its tilt; and later its own attitude counts as ever."""
+    """Whatever its place in the box, its heading and its tilt; and later its own attitude counts as ever, from the
+    tool's own tilt on."""
     T = tool(*p, turn, tilt)
     play = holding(T)
     hand = sample(yaw, pitch, roll, position=(x, BOX_HEIGHT, z))
@@ -78,9 +79,7 @@ def test_a_hand_begins_exactly_where_the_tool_is_held(holding, sample, p, turn, 
         np.testing.assert_allclose(in_base(after)[:3, 3], T[:3, 3], atol=1e-12)
         assert rotation_angle(in_base(before)[:3, :3].T @ in_base(after)[:3, :3]) < math.radians(1.0)
     level_hand = play.steps(10, sample(yaw, position=(x, BOX_HEIGHT, z)))[-1]
-    R = in_base(level_hand)[:3, :3]
-    np.testing.assert_allclose(R[:, 2], [0.0, 0.0, -1.0], atol=1e-9)
-    np.testing.assert_allclose(math.atan2(R[1, 0], R[0, 0]), math.atan2(T[1, 0], T[0, 0]), atol=1e-9)
+    np.testing.assert_allclose(in_base(level_hand)[:3, :3], T[:3, :3], atol=1e-9)
 
 
 @settings(max_examples=20)
@@ -162,7 +161,7 @@ def test_a_tracker_that_hangs_or_begins_anew_ends_a_hold(holding):
         (tool(x=math.inf), 10.0, "finite numbers"),
         (2.0 * tool(), 10.0, "the last row of a pose"),
         (pose(2.0 * DOWN), 10.0, "not orthonormal"),
-        (tool(tilt=11.0), 10.0, "the tool is tilted by 11.0 deg and must point down within 10 deg"),
+        (tool(tilt=51.0), 10.0, "the tool is tilted by 51.0 deg and must point down within 50 deg"),
         (tool(tilt=180.0), 10.0, "the tool is tilted by 180.0 deg"),
     ],
 )

@@ -53,7 +53,7 @@ MOVED_M: Final = 0.1  # and came so far
 AT_HOME_M: Final = 0.03
 MAX_HOLD_S: Final = 120.0
 MAX_TOOL_DISTANCE_M: Final = FAR_TOOL_M  # from the base
-MAX_TILT_DEG: Final = 10.0  # of a held tool: a stream starts with the tool as at home, pointing down
+MAX_TILT_DEG: Final = 50.0  # of a held tool against home, where it points down; 45 for a tilted grasp, and an error
 AHEAD_M: Final = 0.1  # least distance in front of the base, nearer than the workspace; at most half of its centre's
 ABOVE_M: Final = 1e-3  # least height over the foot; the workspace may end at the foot
 

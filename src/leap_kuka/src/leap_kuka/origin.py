@@ -1,12 +1,12 @@
 """What a stream starts from: which pose of the tool belongs to which pose of the hand. Absolute: the hand's angles
 count from a level hand of the stream's heading; a held tool that is taken over shifts and turns the virtual Leap so
-that palm and heading match, and the tilt that is left fades out in FADE_S. Relative: they count from the hand's
-orientation at the start, and the virtual Leap is shifted such that the palm is at the tool."""
+that palm and heading match; the tool keeps its tilt, and the hand's tilt takes effect in FADE_S. Relative: they count
+from the hand's orientation at the start, and the virtual Leap is shifted such that the palm is at the tool."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ class StreamOrigin:
     R_zero_tool: np.ndarray  # of the tool for that hand, in the axes of the hand
     R_home: np.ndarray  # of the tool at home relative to one that points down
     R_rest: np.ndarray | None = None  # additional rotation of the tool at the start; it fades out
+    R_tilt: np.ndarray = field(default_factory=lambda: I3)  # of a tool that was taken over; it stays
     start: float = 0.0  # of the stream [s]
 
     def turn(self, R_leap_hand: np.ndarray) -> np.ndarray:
@@ -39,7 +40,7 @@ class StreamOrigin:
         if self.R_rest is not None:
             s = min(max((now - self.start) / FADE_S, 0.0), 1.0)
             R_virtual_tool = R_virtual_tool @ scaled_rotation(self.R_rest, 1.0 - s * s * (3.0 - 2.0 * s))
-        return R_virtual_tool @ self.R_home
+        return R_virtual_tool @ self.R_tilt @ self.R_home
 
 
 def absolute(T_base_virtual: np.ndarray, heading: float, tool_reversed: bool, R_home: np.ndarray = I3) -> StreamOrigin:
@@ -61,11 +62,13 @@ def taken_over(
     R_level_held = R_base_level.T @ R_base_held
     heading = rotation_about(2, math.atan2(R_level_held[1, 0], R_level_held[0, 0]))
     R_base_virtual = R_base_level @ heading @ R_virtual_level.T
+    R_tilt = heading.T @ R_level_held
     R_virtual_tool = origin.R_leap_zero @ rotation_from_zyx(*angles.angles) @ origin.R_zero_tool
     return replace(
         origin,
         T_base_virtual=read_only(pose(R_base_virtual, T_base_held[:3, 3] - R_base_virtual @ palm)),
-        R_rest=read_only((R_base_virtual @ R_virtual_tool).T @ R_base_held),
+        R_rest=read_only((R_base_virtual @ R_virtual_tool).T @ R_base_held @ R_tilt.T),
+        R_tilt=read_only(R_tilt),
         start=now,
     )
 
