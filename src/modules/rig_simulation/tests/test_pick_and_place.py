@@ -9,18 +9,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from common.rotations import rotation_about
 from rig_simulation.operator.pick_and_place import STEPS, PickAndPlace, PickView
+from rig_simulation.operator.steering import UP
 
 
-def work(rig, seconds=120.0, following=lambda now: True, wanted=None):
-    """Lets the person work; `wanted` is the heading that the object wants, None a round one."""
-    person, steps = PickAndPlace(PLAN, CENTER_LINE), []
+def work(rig, seconds=120.0, following=lambda now: True, wanted=None, approach=-UP, tools=None):
+    """Lets the person work; `wanted` is the heading that the object wants, None a round one; `tools` gets where the
+    tool is at the beginning of each step."""
+    person, steps, tools = PickAndPlace(PLAN, CENTER_LINE), [], {} if tools is None else tools
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
         turn = 0.0 if wanted is None else wanted - rig.heading
-        result = person.step(PickView(rig.tool, rig.top, rig.top[2] - TOP[2], following(now), turn), now)
+        result = person.step(PickView(rig.tool, rig.top, rig.top[2] - TOP[2], following(now), turn, approach), now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)
+            tools[result.step] = rig.tool - rig.top
         if result.move is not None:
             rig.make(result.move)
         if result.over:
@@ -41,6 +45,18 @@ def test_the_object_is_lifted_and_put_down_where_it_stood(scale, lag, dx, dy):
     assert_allclose(rig.top, top, atol=3 * PLAN.tolerance)
     assert rig.tool[2] - rig.top[2] > PLAN.clearance - 2 * PLAN.tolerance
     assert set(rig.curls) == {0.0, 1.0} and rig.curl == 0.0
+
+
+@settings(max_examples=10)
+@given(st.floats(-0.7, 0.7), st.floats(-0.7, 0.7))
+def test_a_tilted_hand_comes_and_leaves_along_its_approach(pitch, roll):
+    approach = rotation_about(0, roll) @ rotation_about(1, pitch) @ -UP
+    tools = {}
+    result, steps = work(FollowingRig(), approach=approach, tools=tools)
+    assert not result.failure and tuple(steps) == STEPS
+    assert_allclose(tools["down"], -PLAN.clearance * approach, atol=2 * PLAN.tolerance)
+    assert_allclose(tools["close"], -PLAN.grasp_height * approach, atol=2 * PLAN.tolerance)
+    assert_allclose(tools["done"] - tools["away"], -PLAN.clearance * approach, atol=3 * PLAN.tolerance)
 
 
 def test_nothing_moves_while_the_arm_does_not_follow():

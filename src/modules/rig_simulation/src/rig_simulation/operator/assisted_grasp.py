@@ -15,6 +15,7 @@ import numpy as np
 from common.modes import ExecutionState
 from common.rotations import rotation_about
 from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan, wrapped
+from rig_simulation.operator.steering import UP
 
 EXECUTE, CANCEL, SHOW, HIDE = "execute", "cancel", "show", "hide"
 """Requests besides moves: to the execution, and for the operator's hand."""
@@ -68,6 +69,7 @@ class AssistedView:
     following: bool  # whether the arm follows the hand
     at_home: bool  # whether the arm is at home
     objects: Mapping[str, ObservedObject]  # by name
+    approach: np.ndarray = field(default_factory=lambda: -UP)  # of the tool, along its z axis, shape (3,)
     proposal: ProposedGrasp | None = None  # the newest best proposal that the arm reaches, or None
     complaint: str = ""  # why there is no proposal
     execution: str = ExecutionState.IDLE.value  # state of the execution
@@ -185,7 +187,8 @@ class AssistedGrasp:
             attempt.followed = now
         elif attempt.followed is not None and now - attempt.followed > self._habits.lost:
             return self._again(f"the arm stopped following the hand: {scene.reason}", now, HIDE)
-        result = attempt.work.step(PickView(scene.grip, seen.top, seen.clearance, scene.following, seen.turn), now)
+        view = PickView(scene.grip, seen.top, seen.clearance, scene.following, seen.turn, scene.approach)
+        result = attempt.work.step(view, now)
         if result.step == "close" and attempt.name != "close":
             shift = float(np.linalg.norm((scene.grip - attempt.grip)[:2]))
             self._change(correction=shift, turn=wrapped(scene.heading - attempt.heading))

@@ -5,7 +5,7 @@ the controller is that the tool follows the hand. Positions in metres in `kuka/b
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -58,6 +58,7 @@ class PickView:
     clearance: float  # height of the object's lowest point above the table [m]
     following: bool = True  # whether the arm follows the hand
     turn: float = 0.0  # turn of the tool after which the fingers fit the object, anticlockwise from above [rad]
+    approach: np.ndarray = field(default_factory=lambda: -UP)  # along which the hand comes, a unit vector, shape (3,)
 
 
 @dataclass(frozen=True)
@@ -116,11 +117,11 @@ class PickAndPlace:
         if name == "hold":
             self._hand.wait(plan.hold, now)
         targets = {
-            "above": view.top + plan.clearance * UP,
-            "down": view.top + plan.grasp_height * UP,
+            "above": view.top - plan.clearance * view.approach,
+            "down": view.top - plan.grasp_height * view.approach,
             "lift": view.grip + plan.lift * UP,
             "lower": view.grip - view.clearance * UP,
-            "away": view.grip + plan.clearance * UP,
+            "away": view.grip - plan.clearance * view.approach,
         }
         self._target = targets.get(name)
         if self._target is None:

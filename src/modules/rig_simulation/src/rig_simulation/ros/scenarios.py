@@ -252,6 +252,7 @@ class AssistedScenario(Scenario):
         return assisted.AssistedView(
             grip=self._arm.grip,
             heading=fingers,
+            approach=self._arm.R[:, 2],
             following=self._arm.streams and self._arm.following,
             at_home=self._arm.mode == Mode.HOME,
             objects=objects,
