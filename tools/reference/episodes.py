@@ -25,6 +25,7 @@ CONTENT = {
     "T_base_grasp": "what training reads: the tool of the label times `T_tool_grasp`",
     "t_grasp": "when the fingers had closed [s]",
     "held": "whether the hand held the object when it was lifted",
+    "lift": "probability of a lift that the executed proposal had; else NaN",
     "stamp": "of the depth images [s]",
     "depth": "[mm], 0 = no reading",
     "maps": "quality, cos, sin, width, before smoothing",
@@ -46,7 +47,7 @@ def page() -> str:
     rows = []
     for name, (kind, shape) in store.LAYOUT.items():
         size = " x ".join(map(str, shape))
-        since = f" (since schema {store.SCHEMA})" if name in store.SINCE_2 else ""
+        since = f" (since schema {store.SINCE[name][0]})" if name in store.SINCE else ""
         rows.append([markdown.code(name), {"U": "text", "?": "bool"}.get(kind, kind), size, CONTENT[name] + since])
     head = markdown.generated("Episode files", "grasping.lab.dataset.store", INTRO)
     return f"{head}\n{markdown.table(['array', 'type', 'shape', 'content'], rows)}"

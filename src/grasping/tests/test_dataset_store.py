@@ -55,7 +55,7 @@ def assert_equal(a: Episode, b: Episode) -> None:
             np.testing.assert_array_equal(one, other)
             assert one.dtype == other.dtype
         else:
-            assert one == other
+            np.testing.assert_equal(one, other)
 
 
 @given(st.integers(1, 4), st.integers(8, 20), st.sampled_from([3, 6]), st.booleans())
@@ -69,7 +69,7 @@ def test_an_episode_comes_back_as_it_was(n, side, m, held):
         found.depth[0, 0, 0] = 1
 
 
-def test_the_format_is_what_the_handbook_says_and_files_of_schema_1_have_no_shown_tool():
+def test_the_format_is_what_the_handbook_says_and_files_of_schema_1_have_neither_shown_tool_nor_lift():
     found = {name: (a.dtype.str.lstrip("<|"), a.shape) for name, a in content(WHOLE).items()}
     assert found.pop("meta")[0].startswith("U")
     assert found == {
@@ -85,6 +85,7 @@ def test_the_format_is_what_the_handbook_says_and_files_of_schema_1_have_no_show
         "T_base_grasp": ("f8", (4, 4)),
         "t_grasp": ("f8", ()),
         "held": ("b1", ()),
+        "lift": ("f8", ()),
         "stamp": ("f8", (2,)),
         "depth": ("u2", (2, 12, 12)),
         "maps": ("f2", (2, 4, 3, 3)),
@@ -96,7 +97,7 @@ def test_the_format_is_what_the_handbook_says_and_files_of_schema_1_have_no_show
         "finger_angles": ("f4", (2, 4)),
         "teleop_active": ("b1", (2,)),
     }
-    assert content(WHOLE).keys() - content(GOLDEN.read_bytes()).keys() == {"T_base_tool_shown"}
+    assert content(WHOLE).keys() - content(GOLDEN.read_bytes()).keys() == {"T_base_tool_shown", "lift"}
     meta = json.loads(str(content(GOLDEN.read_bytes())["meta"]))
     assert sorted(meta) == [
         "camera", "configuration", "date", "fingerprint", "object", "operator", "reason", "revision", "schema",
@@ -177,7 +178,8 @@ def test_each_damage_of_the_archive_is_a_sentence(data, cause):
         (changed(meta=np.array('{"schema": NaN}')), "metadata are not JSON"),
         (changed(meta=np.array("[1]")), "metadata name no schema"),
         (changed(meta=np.array({"schema": 1}, dtype=object)), "torn or damaged: Object arrays"),
-        (changed_meta(schema=3), "has the schema 3, but this version reads 1 and 2"),
+        (changed_meta(schema=4), "has the schema 4, but this version reads 1 to 3"),
+        (changed(lift=None), "lift missing or unknown"),
         (changed_meta(operator=None), "lack or distort 'operator'"),
         (changed_meta(camera=5), "lack or distort"),
         (changed_meta(camera={"name": "x", "width": "wide", "height": 1}), "lack or distort"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from grasping.lab.programs import evaluate_poses, make_attempts, train_lifts
 from grasping.lab.programs.train_lifts import LiftData, calibrate, train
 from grasping.lab.synthetic.pose_labels import REASONS
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
-from grasping.network.maps import Maps
+from grasping.network.maps import PARALLEL, REFLEX, Maps
 from grasping.poses import hand_view, hypotheses
 from grasping.poses.chooser import ImageMaps, choose, tilts
 from grasping.poses.hypotheses import MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
@@ -205,18 +206,25 @@ def test_a_bare_table_offers_nothing():
 
 
 def test_weights_come_back_and_other_files_are_refused():
-    network = LiftNetwork().eval()
+    network = LiftNetwork(REFLEX, "cd" * 32).eval()
     network.temperature.fill_(1.7)
     file = io.BytesIO()
     torch.save(saved(network), file)
     values = np.random.default_rng(0).standard_normal((5, hand_view.FEATURES)).astype(np.float32)
-    np.testing.assert_array_equal(lift_logits(loaded(file.getvalue()), values), lift_logits(network, values))
+    again = loaded(file.getvalue())
+    np.testing.assert_array_equal(lift_logits(again, values), lift_logits(network, values))
+    assert (again.hand, again.ggcnn) == (REFLEX, "cd" * 32)
     with pytest.raises(RigError, match="holds no weights of the network of lifts"):
         loaded(b"nothing")
     other = io.BytesIO()
     torch.save({**saved(network), "features": 3}, other)
     with pytest.raises(RigError, match="3 features"):
         loaded(other.getvalue())
+    for wrong, sentence in (({"hand": "claw"}, "of the hand 'claw'"), ({"ggcnn": None}, "GG-CNN's file None")):
+        nobodys = io.BytesIO()
+        torch.save({**saved(network), **wrong}, nobodys)
+        with pytest.raises(RigError, match=sentence):
+            loaded(nobodys.getvalue())
 
 
 def test_training_learns_and_its_probability_is_one():
@@ -227,10 +235,11 @@ def test_training_learns_and_its_probability_is_one():
         values = 0.1 * rng.standard_normal((n, hand_view.FEATURES)).astype(np.float32)
         values[:, -4] = rng.choice((-1.0, 1.0), n)
         chance = np.where(values[:, -4] > 0.0, 0.9, 0.2)  # the opening, which no mirror changes
-        return LiftData(values, (rng.random(n) < chance).astype(np.float32))
+        return LiftData(values, (rng.random(n) < chance).astype(np.float32), REFLEX, "ab" * 32)
 
     network, rows = train(made(3000), made(1000), 10, 2e-3, 0)
     assert rows[-1]["training"] < rows[0]["training"]
+    assert (network.hand, network.ggcnn) == (REFLEX, "ab" * 32)
     fresh = made(2000)
     said = 1.0 / (1.0 + np.exp(-lift_logits(network, fresh.features)))
     high = fresh.features[:, -4] > 0.0
@@ -285,6 +294,15 @@ def test_attempts_come_back_with_their_images(shard):
     data = train_lifts.read([shard])
     assert data.features.shape == (8, hand_view.FEATURES)
     np.testing.assert_array_equal(data.lifted, lifted)
+    assert (data.hand, data.ggcnn) == (PARALLEL, hashlib.sha256(WEIGHTS.read_bytes()).hexdigest())
+
+
+def test_shards_of_several_hands_are_not_mixed(shard, tmp_path):
+    other = tmp_path / "train_8_000050.npz"
+    with np.load(shard) as arrays:
+        np.savez(other, **{**arrays, "hand": REFLEX})
+    with pytest.raises(ValueError, match="of several hands or of several GG-CNN"):
+        train_lifts.read([shard, other])
 
 
 def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_path):

@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from common.errors import RigError
+from grasping.network.maps import HANDS, PARALLEL
 from grasping.poses.hand_view import FEATURES
 
 HIDDEN = (128, 64)
@@ -17,12 +18,14 @@ SCHEMA = 1
 
 
 class LiftNetwork(nn.Module):
-    """Returns the logit of a lift of features, shape (n, FEATURES) to (n,)."""
+    """Returns the logit of a lift of features, shape (n, FEATURES) to (n,), of the `hand` that it was trained for, and
+    of the maps of the GG-CNN whose file has the SHA-256 `ggcnn`."""
 
     temperature: torch.Tensor
 
-    def __init__(self) -> None:
+    def __init__(self, hand: str = PARALLEL, ggcnn: str = "") -> None:
         super().__init__()
+        self.hand, self.ggcnn = hand, ggcnn
         first, second = HIDDEN
         self.layers = nn.Sequential(
             nn.Linear(FEATURES, first), nn.ReLU(), nn.Linear(first, second), nn.ReLU(), nn.Linear(second, 1)
@@ -42,7 +45,8 @@ def lift_logits(network: LiftNetwork, features: np.ndarray) -> np.ndarray:
 
 
 def saved(network: LiftNetwork) -> dict[str, Any]:
-    return {"schema": SCHEMA, "features": FEATURES, "state": network.state_dict()}
+    of = {"hand": network.hand, "ggcnn": network.ggcnn}
+    return {"schema": SCHEMA, "features": FEATURES, **of, "state": network.state_dict()}
 
 
 def loaded(data: bytes) -> LiftNetwork:
@@ -51,7 +55,10 @@ def loaded(data: bytes) -> LiftNetwork:
         content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
         if content["schema"] != SCHEMA or content["features"] != FEATURES:
             raise RigError(f"It is of schema {content['schema']} with {content['features']} features.")
-        network = LiftNetwork()
+        hand, ggcnn = content["hand"], content["ggcnn"]
+        if hand not in HANDS or not isinstance(ggcnn, str):
+            raise RigError(f"It is of the hand {hand!r} and of GG-CNN's file {ggcnn!r}.")
+        network = LiftNetwork(hand, ggcnn)
         network.load_state_dict(content["state"])
     except RigError as error:
         raise RigError(f"The weights are not of this network: {error}") from error

@@ -24,6 +24,7 @@ class Finished(NamedTuple):
     grasp: ObservedGrasp  # where and when, and whether it held
     source: str  # EXECUTION or TELEOPERATION
     frames: KeptFrames | None  # before it; None: it is no episode
+    lift: float = math.nan  # probability of a lift that its proposal had; NaN where none is known
 
 
 class Collector:
@@ -83,9 +84,11 @@ class Collector:
         grasp = self._watch.step(state, T_base_tool, now)
         return None if grasp is None or self._executing else self._finish(grasp, TELEOPERATION)
 
-    def outcome(self, grasp: ObservedGrasp) -> Finished | None:
-        """Takes the outcome of a proposal; returns None if that grasp is finished already."""
-        return self._finish(grasp, EXECUTION)
+    def outcome(self, grasp: ObservedGrasp, lift: float = math.nan) -> Finished | None:
+        """Takes the outcome of a proposal with its probability of a `lift`; returns None if that grasp is finished
+        already."""
+        finished = self._finish(grasp, EXECUTION)
+        return None if finished is None else finished._replace(lift=lift)
 
     def _begin(self) -> None:
         """Drops all earlier frames, including one that the network still processes."""

@@ -122,6 +122,7 @@ class Episode:
     teleop_active: np.ndarray  # whether an operator's hand was followed, shape (n,)
     T_base_tool_shown: np.ndarray = field(default_factory=lambda: NOWHERE)
     """Desired tool that an operator held at the grasp, shape (4, 4) [m]; NaN: the grasp was not shown, but made."""
+    lift: float = float("nan")  # probability of a lift that the executed proposal had; NaN where none is known
 
     def __len__(self) -> int:
         return len(self.stamp)

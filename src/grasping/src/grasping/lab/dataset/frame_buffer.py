@@ -4,6 +4,7 @@ what is too old or too many when the fingers close is dropped, oldest first.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import MutableSequence
 from dataclasses import dataclass
@@ -112,8 +113,10 @@ class KeptFrames(NamedTuple):
         T_flange_tool: np.ndarray,
         T_tool_grasp: np.ndarray,
         T_base_tool_shown: np.ndarray = NOWHERE,
+        lift: float = math.nan,
     ) -> Episode:
-        """Returns the frames with the grasp as their label, or with the tool that was shown, shape (4, 4) [m]."""
+        """Returns the frames with the grasp as their label, or with the tool that was shown, shape (4, 4) [m]; `lift`:
+        probability that the proposal had."""
         return Episode(
             metadata=metadata,
             camera=self.optics.camera,
@@ -124,6 +127,7 @@ class KeptFrames(NamedTuple):
             T_base_tool_shown=T_base_tool_shown,
             t_grasp=grasp.time,
             held=grasp.held,
+            lift=lift,
             **{name: np.array([getattr(row, name) for row in self.rows]) for name in KeptFrame._fields},
         )
 

@@ -25,7 +25,7 @@ from common.poses import check_pose
 from grasping.lab.dataset.episode import NOWHERE, SOURCES, Episode, Metadata, tool_of_label
 from grasping.network.depth_image import NETWORK_SIDE, Crop
 
-SCHEMA = 2
+SCHEMA = 3
 MAGIC = b"PK\3\4"  # how an archive begins
 DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, SyntaxError, EOFError, MemoryError,
           ValueError, RuntimeError, KeyError, OSError)  # fmt: skip
@@ -47,6 +47,7 @@ LAYOUT = {  # type and shape of each array; n frames, `side` of the crop, m rows
     "T_base_grasp": ("f8", (4, 4)),
     "t_grasp": ("f8", ()),
     "held": ("?", ()),
+    "lift": ("f8", ()),
     "stamp": ("f8", ("n",)),
     "depth": ("u2", ("n", "side", "side")),
     "maps": ("f2", ("n", 4, "m", "m")),
@@ -58,8 +59,9 @@ LAYOUT = {  # type and shape of each array; n frames, `side` of the crop, m rows
     "finger_angles": ("f4", ("n", 4)),
     "teleop_active": ("?", ("n",)),
 }
-SINCE_2 = {"T_base_tool_shown"}  # what files of schema 1 do not have
-MAY_BE_NAN = {"T_base_tool_desired", "finger_angles", *SINCE_2}
+SINCE = {"T_base_tool_shown": (2, NOWHERE), "lift": (3, np.array(np.nan))}
+"""Schema that an array came with, and what stands for it in files of earlier ones."""
+MAY_BE_NAN = {"T_base_tool_desired", "finger_angles", *SINCE}
 POSES = [name for name in LAYOUT if name.startswith("T_")]
 TEXTS = [f.name for f in fields(Metadata) if f.name != "configuration"]
 
@@ -117,11 +119,12 @@ def decode(data: bytes) -> Episode:
     """Returns the episode in a file's content; raises DatasetError if it is torn, of another schema, or no episode."""
     arrays = _read(data)
     meta = _meta(arrays)
-    wanted = LAYOUT.keys() if meta["schema"] == SCHEMA else LAYOUT.keys() - SINCE_2
+    later = {name: value for name, (since, value) in SINCE.items() if meta["schema"] < since}
+    wanted = LAYOUT.keys() - later.keys()
     if arrays.keys() != wanted or not all(isinstance(array, np.ndarray) for array in arrays.values()):
         odd = ", ".join(sorted(arrays.keys() ^ wanted)) or "an array"
         raise DatasetError(f"Not an episode of its schema: {odd} missing or unknown.")
-    arrays = {**dict.fromkeys(SINCE_2, NOWHERE), **arrays}
+    arrays = {**later, **arrays}
     _check(arrays)
     for array in arrays.values():
         array.setflags(write=False)
@@ -145,7 +148,8 @@ def decode(data: bytes) -> Episode:
         crop=Crop(*(int(i) for i in arrays["crop"])),
         t_grasp=float(arrays["t_grasp"]),
         held=bool(arrays["held"]),
-        **{name: arrays[name] for name in LAYOUT if name in own and name not in ("crop", "t_grasp", "held")},
+        lift=float(arrays["lift"]),
+        **{name: arrays[name] for name in LAYOUT if name in own and name not in ("crop", "t_grasp", "held", "lift")},
     )
 
 
@@ -170,8 +174,8 @@ def _meta(arrays: dict[str, Any]) -> dict[str, Any]:
         raise DatasetError("Not an episode: the file's metadata are not JSON.") from None
     if not isinstance(meta, dict) or "schema" not in meta:
         raise DatasetError("Not an episode: the file's metadata name no schema.")
-    if meta["schema"] not in (1, SCHEMA):
-        raise DatasetError(f"The file has the schema {meta['schema']!r}, but this version reads 1 and {SCHEMA}.")
+    if meta["schema"] not in range(1, SCHEMA + 1):
+        raise DatasetError(f"The file has the schema {meta['schema']!r}, but this version reads 1 to {SCHEMA}.")
     return meta
 
 

@@ -19,6 +19,7 @@ from grasping.lab.programs.make_dataset import SHARD, ignore_warning, make_all
 from grasping.lab.synthetic import samples
 from grasping.lab.synthetic.attempts import attempts
 from grasping.network import weights
+from grasping.network.maps import PARALLEL
 from grasping.network.networks import MapNetwork, frozen
 
 
@@ -50,7 +51,8 @@ def make_shard(task: AttemptTask) -> None:
     image = np.repeat(np.arange(len(made)), [len(one.T) for one in made])
     depth = np.stack([np.round(1e4 * one.depth).astype(np.uint16) for one in made])  # 0.1 mm
     valid = np.stack([one.valid for one in made])
-    np.savez_compressed(part, depth=depth, valid=valid, image=image, **arrays)
+    ggcnn = weights.checked_sha256(task.weights.read_bytes(), None)
+    np.savez_compressed(part, depth=depth, valid=valid, image=image, hand=PARALLEL, ggcnn=ggcnn, **arrays)
     part.replace(task.path)
 
 

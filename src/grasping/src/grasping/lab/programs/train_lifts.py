@@ -18,7 +18,10 @@ from torch import nn
 from tqdm import tqdm
 
 from common.command_line import real, whole
+from common.errors import RigError
 from grasping.lab.evaluation.trials import CROP, camera
+from grasping.lab.programs.train_refinement import read_episodes
+from grasping.lab.training.lift_examples import attempt
 from grasping.network.depth_image import NetworkImage
 from grasping.poses import hand_view
 from grasping.poses.hypotheses import Hypotheses
@@ -31,13 +34,16 @@ class LiftData(NamedTuple):
 
     features: np.ndarray  # shape (n, FEATURES), float32
     lifted: np.ndarray  # shape (n,), float32, 0 or 1
+    hand: str  # that tried them
+    ggcnn: str  # SHA-256 of the file of GG-CNN, whose maps the features are of
 
 
 def read(paths: Sequence[Path]) -> LiftData:
     """Returns the attempts of shards. Raises OSError, KeyError or ValueError."""
-    parts, lifted = [], []
+    parts, lifted, origins = [], [], set()
     for path in tqdm(paths, unit="shard", desc="features"):
         with np.load(path, allow_pickle=False) as arrays:
+            origins.add((str(arrays["hand"]), str(arrays["ggcnn"])))
             for i, counted in enumerate(arrays["depth"]):
                 of = arrays["image"] == i
                 if not of.any():
@@ -48,7 +54,22 @@ def read(paths: Sequence[Path]) -> LiftData:
                 frame = level_frame(image, image_rays(image, camera()))
                 parts.append(hand_view.features(tried, image, camera(), frame))
                 lifted.append(arrays["reason"][of] == 0)
-    return LiftData(np.concatenate(parts), np.concatenate(lifted).astype(np.float32))
+    if len(origins) > 1:
+        raise ValueError(f"they are of several hands or of several GG-CNN, {sorted(origins)}.")
+    return LiftData(np.concatenate(parts), np.concatenate(lifted).astype(np.float32), *origins.pop())
+
+
+def with_episodes(data: LiftData, folders: Sequence[Path]) -> LiftData:
+    """Returns the attempts with those of a rig's episodes in and below folders; raises RigError for a folder without
+    episodes of grasps on the same GG-CNN's maps."""
+    for folder in folders:
+        own = [one for one in (attempt(n.episode, data.ggcnn) for n in read_episodes(folder)) if one is not None]
+        if not own:
+            raise RigError(f"{folder} holds no grasp that was tried with the GG-CNN {data.ggcnn[:12]}...")
+        values, held = zip(*own)
+        lifted = np.concatenate([data.lifted, np.array(held, np.float32)])
+        data = data._replace(features=np.concatenate([data.features, values]), lifted=lifted)
+    return data
 
 
 def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: int) -> tuple[LiftNetwork, list[dict]]:
@@ -57,7 +78,7 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
     batch, decay = 256, 1e-3
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
-    network = LiftNetwork()
+    network = LiftNetwork(data.hand, data.ggcnn)
     optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
     steps = epochs * -(-len(data.lifted) // batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
@@ -101,6 +122,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the shards train_*.npz and validation_*.npz")
     parser.add_argument("run", type=Path, help="folder for lifts.pt and curves.json")
+    more = "a folder of episodes, whose grasps are further attempts"
+    parser.add_argument("--episodes", type=Path, action="append", default=[], help=more)
     parser.add_argument("--epochs", type=whole(1, 10_000), default=40, help="default 40")
     parser.add_argument("--rate", type=real(0.0, 1.0, open_low=True), default=2e-3, help="of learning, default 0.002")
     parser.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help="default 0")
@@ -114,11 +137,15 @@ def main() -> None:
         parser.error(f"{given.data} needs shards train_*.npz and validation_*.npz.")
     try:
         given.run.mkdir(parents=True, exist_ok=True)
-        data, validation = read(used), read(kept)
+        data, validation = with_episodes(read(used), given.episodes), read(kept)
+    except RigError as error:
+        parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename or given.data} cannot be used: {error.strerror}.")
     except (KeyError, ValueError, EOFError, BadZipFile) as error:
         parser.error(f"A file in {given.data} is no shard of make_attempts.py: {error}")
+    if data[2:] != validation[2:]:
+        parser.error(f"{given.data} trains on {data[2:]}, but validates on {validation[2:]}.")
     network, rows = train(data, validation, given.epochs, given.rate, given.seed)
     torch.save(saved(network), given.run / "lifts.pt")
     (given.run / "curves.json").write_text(json.dumps(rows, indent=1) + "\n")

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from grasping.lab.dataset.episode import EpisodeFrame
-from grasping.lab.dataset.labels import tilt_and_angle, windowed
-from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.network.maps import smoothed
-from grasping.pipeline.refined_grasp import SMOOTHING
+from grasping.lab.dataset.labels import tilt_and_angle
+from grasping.lab.training.lift_examples import image_maps
 from grasping.refinement import lifts, taste
 from grasping.refinement.candidates import Candidates, candidates
 from grasping.refinement.lifts import LiftModel
@@ -31,13 +28,8 @@ class Outcome(NamedTuple):
 
 def seen(frame: EpisodeFrame) -> Candidates | None:
     """Returns the candidates of a frame, from GGCNN's maps as they were recorded; None if the frame holds nothing."""
-    try:
-        image = prepare(frame.depth_m, Crop(0, 0, frame.crop.side))
-    except ValueError:
-        return None
-    output = np.stack([cv2.resize(m.astype(np.float32), (NETWORK_SIDE, NETWORK_SIDE)) for m in frame.maps])
-    maps = smoothed(output, image.valid, SMOOTHING)
-    return candidates(maps, np.hypot(output[1], output[2]), image, windowed(frame.camera, frame.crop))
+    of = image_maps(frame)
+    return None if of is None else candidates(of.maps, of.certainty, of.image, of.camera)
 
 
 def choice(frame: EpisodeFrame, of: Candidates) -> Choice | None:
