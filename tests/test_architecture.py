@@ -424,9 +424,9 @@ LIVE_ROOMS = {
     "network": set(),
     "refinement": {"network"},
     "poses": {"refinement", "network"},
-    "pipeline": {"refinement", "network"},
+    "pipeline": {"poses", "refinement", "network"},
     "execution": {"pipeline", "network"},
-    "ros": {"execution", "pipeline", "refinement", "network"},
+    "ros": {"execution", "pipeline", "poses", "refinement", "network"},
 }  # fmt: skip
 
 

@@ -183,12 +183,13 @@ def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status
     outcome = GraspOutcome(tool=stamped_pose(tool(GRASP_Z), "kuka/base_frame", rospy.Time.now()))
     outcome.header.stamp = rospy.Time.now()
     outcome.held, outcome.reason = True, "It was felt."
+    outcome.proposal.own_approach, outcome.proposal.quality = True, 0.75
     rig.say("/grasping/outcome", outcome)
     clock.sleep(LATER_S)
     (file,) = files(folder)
     made = decode(file.read_bytes())
     assert made.held and made.metadata.source == EXECUTION and made.metadata.reason == "It was felt."
-    assert made.t_grasp == outcome.header.stamp.to_sec()
+    assert made.t_grasp == outcome.header.stamp.to_sec() and made.lift == 0.75
     np.testing.assert_allclose(made.T_base_tool_closed, tool(GRASP_Z), atol=1e-9)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from common.config import parse
 from common.modes import ExecutionState
-from common.poses import pose, translation
+from common.poses import inverse, pose, translation
 from common.rotations import rotation_about
 from common.teleop_record import HELD, NO_HOLD, TAKEN
 from grasping.execution.execution import (
@@ -116,7 +116,7 @@ OFF, STOPPED = dataclasses.replace(HOME, control_on=False), ControllerState(True
 FOLLOWED, WAITING = Trial.with_person, Trial.waiting
 ENDS = [  # start, what follows, the reason of the end, whether the fingers had closed
     (Trial.start, lambda t: t.run(2.1), "The tool was not held for a hand: no hand is seen.", False),
-    (Trial.start, lambda t: t.run(30.1, hold=HELD), "The tool was not above the grasp after 30 s.", False),
+    (Trial.start, lambda t: t.run(30.1, hold=HELD), "The tool was not before the grasp after 30 s.", False),
     (Trial.start, lambda t: t.run(0.1, hold=HELD, controller=OFF), "Control of the arm was sw", False),
     (Trial.start, lambda t: t.run(0.1, hold=HELD, controller=STOPPED), "The arm stopped: It hit.", False),
     (Trial.start, lambda t: t.run(0.1, hold=HELD, controller=None), "The arm's controller is silent.", False),
@@ -230,7 +230,7 @@ def test_what_is_refused(proposals, controller, followed, sentence):
 @given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5))
 def test_the_tool_waits_upright_above_the_grasp_turned_as_near_to_home_as_it_can(angle, tilt):
     T_base_grasp = pose(rotation_about(2, angle) @ DOWN @ rotation_about(1, tilt), (0.5, 0.1, 0.2))
-    way = tool_goal(T_base_grasp, TOOL, DOWN, UP)
+    way = tool_goal(ProposedPose(1, T_base_grasp), TOOL, DOWN, UP)
     np.testing.assert_allclose(way.T_base_above[:3, 2], -UP, atol=1e-9)
     np.testing.assert_allclose((way.T_base_above - way.T_base_tool)[:3, 3], TOOL.clearance * UP, atol=1e-9)
     np.testing.assert_allclose(way.T_base_grip[:3, 3], T_base_grasp[:3, 3], atol=1e-9)
@@ -241,4 +241,18 @@ def test_the_tool_waits_upright_above_the_grasp_turned_as_near_to_home_as_it_can
 
 def test_fingers_one_above_the_other_are_refused():
     upright = pose(rotation_about(1, np.pi / 2.0), (0.5, 0.0, 0.2))
-    assert "The hand cannot take the grasp" in tool_goal(upright, TOOL, DOWN, UP).sentence
+    assert "The hand cannot take the grasp" in tool_goal(ProposedPose(1, upright), TOOL, DOWN, UP).sentence
+
+
+@pytest.mark.hazard(23)
+@given(st.floats(-3.1, 3.1), st.floats(-0.75, 0.75), st.floats(-0.75, 0.75))
+def test_for_a_grasp_with_its_own_approach_the_tool_waits_before_it_tilted_as_it_is(angle, pitch, roll):
+    R = rotation_about(2, angle) @ DOWN @ rotation_about(1, pitch) @ rotation_about(0, roll)
+    T_base_grasp = pose(R, (0.5, 0.1, 0.2))
+    way = tool_goal(ProposedPose(1, T_base_grasp, own_approach=True), TOOL, DOWN, UP)
+    before = way.T_base_above @ inverse(way.T_base_tool) @ way.T_base_grip
+    np.testing.assert_allclose(before[:3, 3], T_base_grasp[:3, 3] - TOOL.clearance * R[:, 2], atol=1e-9)
+    np.testing.assert_allclose(way.T_base_above[:3, :3], way.T_base_tool[:3, :3])
+    np.testing.assert_allclose(way.T_base_grip[:3, 2], R[:, 2], atol=1e-9)
+    assert abs(way.T_base_grip[:3, 0] @ R[:, 0]) == pytest.approx(1.0)
+    assert way.T_base_above[2, 3] > way.T_base_tool[2, 3]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import signal
 
 import numpy as np
 import pytest
+import torch
 from table_scene import CAMERA, depth_picture, looking_at
 
 from common import clock
@@ -14,7 +16,10 @@ from common.errors import RigError
 from common.frames import DEPTH_OPTICAL
 from common.numbers import LABEL_M
 from common.poses import inverse, pose
-from grasping.pipeline.settings import NetworkConfig
+from grasping.network.maps import PARALLEL, REFLEX
+from grasping.pipeline.settings import AUTO, MUST, NetworkConfig
+from grasping.poses import lift_network
+from grasping.poses.lift_network import LiftNetwork
 
 pytest.importorskip("rig_msgs.srv")
 import roslib.message
@@ -33,7 +38,7 @@ from grasping.pipeline.tool_pose import ASKED, RETRY_S, SILENT
 from grasping.refinement import taste
 from grasping.refinement.preference import Preference
 from grasping.refinement.refinement_file import Origin, content
-from grasping.ros.weight_files import load_network, load_refinement, own_yaml
+from grasping.ros.weight_files import load_lifts, load_network, load_refinement, own_yaml
 from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
 from tools import launched
 
@@ -48,6 +53,7 @@ LATER_S = 0.01
 """Of the camera's images, and how much later messages come and go."""
 DIAGNOSTICS_S, WAIT_S, KIND_PERIOD_S = 0.5, 0.2, 1.0
 """Of the node: time between diagnostics, longest wait for an image, and time between two looks at the kind."""
+GRIP = (-0.0152, 0.0, 0.07)  # in the tool, by tool_pose.yaml
 R_LINK_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 TYPES = {
     "out/grasps": "grasp_msgs/GraspList",
@@ -247,10 +253,11 @@ def test_the_arms_controller_is_asked_and_grasps_go_on_without_it(ros, camera, c
 
     rospy.Service("kuka/check_tool_pose", CheckToolPose, check)
     yes = newest(ros, lists, lambda m: m.grasps[0].reachable, "a controller that says yes", RETRY_S + 0.5 + PERIOD_S)
-    T = pose_from_message(asked[-1].pose)
+    T, T_waits = (pose_from_message(asked[i].pose) for i in (0, 1))
+    np.testing.assert_allclose(inverse(T) @ T_waits, pose(p=(0.0, 0.0, -0.12)), atol=1e-6)
     assert asked[-1].header.frame_id == "kuka/base_frame"
     np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, -1.0), atol=1e-6)
-    grip = T @ (-0.0152, 0.0, 0.07, 1.0)
+    grip = T @ (*GRIP, 1.0)
     np.testing.assert_allclose(grip[:3], pose_from_message(yes.grasps[0].pose_base.pose)[:3, 3], atol=0.01)
     answer.success, answer.message = False, "It is outside of the workspace."
     refused = newest(ros, lists, lambda m: m.grasps[0].reason != "", "one that says no", 1.0)
@@ -296,6 +303,63 @@ def test_what_it_cannot_work_with_ends_it_with_a_sentence(ros, name, value, sent
 def test_weight_files_are_checked(changes, sentence):
     with pytest.raises(RigError, match=sentence):
         load_network(parse(NetworkConfig, {**own_yaml("ggcnn.yaml")["network"], **changes}))
+
+
+GGCNN = "ab" * 32
+
+
+def lift_file(folder, hand=REFLEX, ggcnn=GGCNN, **changes):
+    torch.manual_seed(0)
+    file = folder / "lifts_reflex.pt"
+    torch.save({**lift_network.saved(LiftNetwork(hand, ggcnn)), **changes}, file)
+    return str(file)
+
+
+def test_a_network_of_lifts_is_taken_where_its_file_fits(tmp_path):
+    found, why = load_lifts(lift_file(tmp_path), AUTO, REFLEX, GGCNN)
+    assert why == "" and (found.hand, found.ggcnn) == (REFLEX, GGCNN)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"hand": PARALLEL}, "was made for the hand parallel and the GG-CNN abab.*, not for reflex and abab"),
+        ({"ggcnn": "cd" * 32}, "was made for the hand reflex and the GG-CNN cdcd.*, not for reflex and abab"),
+        ({"features": 3}, "with 3 features"),
+        (None, "cannot be read: No such file"),
+    ],
+)
+def test_one_of_another_hand_or_ggcnn_is_refused_or_left(tmp_path, changes, sentence):
+    file = str(tmp_path / "none.pt") if changes is None else lift_file(tmp_path, **changes)
+    with pytest.raises(RigError, match=sentence):
+        load_lifts(file, MUST, REFLEX, GGCNN)
+    found, why = load_lifts(file, AUTO, REFLEX, GGCNN)
+    assert found is None and why.startswith("GG-CNN alone proposes grasps. ") and re.search(sentence, why)
+
+
+def test_a_networks_grasps_are_published_with_their_approach_and_the_controller_is_asked_along_it(
+    ros, camera, calibrated, tmp_path
+):
+    lists, asked = ros.record("ggcnn/out/grasps", GraspList), []
+    rospy.set_param("kuka/center_line", [1.0, 0.0, 0.0])
+
+    def check(request):
+        asked.append(pose_from_message(request.tool.pose))
+        return CheckToolPoseResponse(success=bool(asked[-1][0, 3] > 0.0), message="It is behind the base.")
+
+    rospy.Service("kuka/check_tool_pose", CheckToolPose, check)
+    ggcnn = load_network(parse(NetworkConfig, own_yaml("ggcnn.yaml")["network"])).sha256
+    start(ros, lifts=MUST, lift_weights=lift_file(tmp_path, ggcnn=ggcnn), max_tilt=30.0, peaks__threshold=0.01)
+    answered = newest(ros, lists, lambda m: m.grasps and all(g.reason != ASKED for g in m.grasps), "answers", 3.0)
+    assert all(grasp.own_approach for grasp in answered.grasps) and len(answered.grasps) > 1
+    accepted = [grasp.reachable for grasp in answered.grasps]
+    assert accepted == sorted(accepted, reverse=True), "those that the controller refused come last"
+    poses = [pose_from_message(grasp.pose_base.pose) for grasp in answered.grasps]
+    assert min(T[2, 2] for T in poses) < -np.cos(np.radians(32.0)) < 0.0
+    for grasp, T in zip(answered.grasps, poses):
+        tools = [tool for tool in asked if np.linalg.norm((tool @ (*GRIP, 1.0))[:3] - T[:3, 3]) < 0.01]
+        assert any(tool[:3, 2] @ T[:3, 2] > np.cos(np.radians(6.0)) for tool in tools), "asked along its approach"
+        assert grasp.reason in ("", "It is behind the base")
 
 
 def rig(**changes):

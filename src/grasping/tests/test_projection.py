@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 
 from common.camera_model import pinhole
 from common.poses import check_pose
+from common.rotations import rotation_about, rotation_from_zyx
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak
 from grasping.pipeline.pipeline import GraspPipeline, PipelineSettings
-from grasping.pipeline.projection import along, camera_pixel, depth_between_fingers, project_grasp, seen_by
+from grasping.pipeline.projection import along, camera_pixel, depth_between_fingers, project_grasp, seen_by, turned
 from grasping.pipeline.view import CameraView, CropConfig
 
 F = 570.3
@@ -85,6 +86,13 @@ def test_a_grasp_along_the_axis_is_seen_as_the_network_saw_it(row, column, angle
     for one in (first, along(first, np.array([0.0, 0.0, 1.0]), CAMERA)):
         found, pixel, px = seen_by(CAMERA, one.T_camera_grasp, one.width)
         np.testing.assert_allclose((*pixel, found, px), (*first.pixel, angle, width * 400 / 300), atol=1e-6)
+
+
+@given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.floats(-1.5, 1.5), st.integers(0, 2), st.booleans())
+def test_a_turn_is_measured_and_half_a_turn_about_the_approach_is_none(first, turn, axis, half):
+    R = rotation_from_zyx(*first)
+    other = R @ rotation_about(axis, turn) @ rotation_about(2, np.pi if half else 0.0)
+    assert turned(R, other) == pytest.approx(abs(turn), abs=1e-6)
 
 
 def test_the_opening_across_a_slope_is_measured_on_the_slope():

@@ -107,6 +107,20 @@ def test_numbers_stay_with_their_grasps_while_these_shake_and_change_places():
     assert len(set.union(*names.values())) == 3
 
 
+def test_two_directions_at_one_place_keep_their_numbers_and_poses():
+    tracker, found = GraspTracker(tracking()), {}
+    for i in range(20):
+        shake = 0.004 * rng.normal(size=2)
+        seen = [detection(shake[0], 0.8), detection(shake[1], 0.7, np.pi / 2.0)]
+        order = rng.permutation(2)
+        for t in tracker.step([seen[k] for k in order], DT * i):
+            along = abs(t.T[0, 0]) > 0.99
+            assert along or abs(t.T[1, 0]) > 0.99
+            assert order[t.detection] == (0 if along else 1)
+            found.setdefault(bool(along), set()).add(t.id)
+    assert sorted(map(len, found.values())) == [1, 1]
+
+
 def test_the_best_stays_until_a_rival_has_led_for_a_while():
     tracker = GraspTracker(tracking())
     images = [[detection(0.0, 0.6), detection(0.1, 0.55)]] * 3

@@ -31,7 +31,7 @@ class ExecutionState(str, Enum):
     """A state of the execution of a proposed grasp; it compares equal to its text in a message."""
 
     IDLE = "idle"  # no grasp was executed yet
-    APPROACHING = "approaching"  # the arm goes above the grasp
+    APPROACHING = "approaching"  # the arm goes before the grasp
     WAITING_FOR_HAND = "waiting_for_hand"  # the tool is held there
     PERSON = "person"  # an operator's hand steers
     OVER = "over"

@@ -1,5 +1,5 @@
 """The execution of a proposed grasp: why it is refused, what happens then, and how it ends, in exactly one outcome.
-Nothing here moves the arm: leap_kuka holds the tool above the grasp for a hand, and an operator does the rest.
+Nothing here moves the arm: leap_kuka holds the tool before the grasp for a hand, and an operator does the rest.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from common.modes import CANNOT_FOLLOW, LEAVES_TOOL, TO_DESIRED_TOOL, ExecutionS
 from common.rotations import rotation_angle
 from common.teleop_record import HELD, NO_HOLD, TAKEN
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
-from grasping.pipeline.tool_pose import ToolPoseConfig, above, grasp_in_tool, tool_pose
+from grasping.pipeline.tool_pose import ToolPoseConfig, above, grasp_in_tool, taken, tool_pose
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class ProposedPose:
     id: int  # its number
     T_base_grasp: np.ndarray | None  # shape (4, 4) [m]; None where it is unknown
     reason: str = "the camera pose is unknown"  # why it is unknown, a clause
+    own_approach: bool = False  # whether the tool comes along its z axis, whatever the hand's settings say
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class ToolGoal:
     """Where the tool goes."""
 
     T_base_tool: np.ndarray  # the tool that takes the grasp, shape (4, 4) [m]
-    T_base_above: np.ndarray  # where it waits for the hand, shape (4, 4) [m]
+    T_base_above: np.ndarray  # where it waits for the hand, before the grasp along its approach, shape (4, 4) [m]
     T_base_grip: np.ndarray  # the grasp between the fingers then, shape (4, 4) [m]: x through them, z the approach
 
 
@@ -96,12 +97,11 @@ def choose(request: ExecutionRequest) -> ProposedPose | Refusal:
     return request.proposals.grasps[0]
 
 
-def tool_goal(
-    T_base_grasp: np.ndarray, settings: ToolPoseConfig, R_home: np.ndarray, up: np.ndarray
-) -> ToolGoal | Refusal:
-    """Returns where the tool goes for a grasp; arguments as in `tool_pose`."""
+def tool_goal(grasp: ProposedPose, settings: ToolPoseConfig, R_home: np.ndarray, up: np.ndarray) -> ToolGoal | Refusal:
+    """Returns where the tool goes for a grasp whose pose is known; other arguments as in `tool_pose`."""
+    assert grasp.T_base_grasp is not None, "`choose` refuses it"
     try:
-        T_base_tool = tool_pose(T_base_grasp, settings, R_home, up)
+        T_base_tool = tool_pose(grasp.T_base_grasp, taken(settings, grasp.own_approach), R_home, up)
     except ValueError as error:
         return Refusal(f"The hand cannot take the grasp: {error}.")
     return ToolGoal(T_base_tool, above(T_base_tool, settings.clearance), T_base_tool @ grasp_in_tool(settings))
@@ -116,7 +116,7 @@ class ExecutionConfig:
     silence: float = number("s", above=0.0, high=10.0, doc="a state that is older than this is unknown")
     arrival_distance: float = number("m", above=0.0, high=0.1, doc="the tool has arrived when it is this near, and")
     arrival_angle: float = number("deg", above=0.0, high=45.0, doc="turned by no more than this")
-    approach_time: float = number("s", above=0.0, high=120.0, doc="longest time for the way above the grasp")
+    approach_time: float = number("s", above=0.0, high=120.0, doc="longest time for the way there")
     wait_for_hand: float = number("s", above=0.0, high=120.0, doc="how long the tool is held for a hand")
     person_time: float = number("s", above=0.0, high=3600.0, doc="longest time until the operator's grasp is decided")
 
@@ -168,7 +168,7 @@ STOPS: tuple[tuple[tuple[ExecutionState, ...], Callable[..., bool], str], ...] =
     (
         (_S.APPROACHING,),
         lambda f: f.elapsed > f.config.approach_time,
-        "The tool was not above the grasp after {config.approach_time:g} s",
+        "The tool was not before the grasp after {config.approach_time:g} s",
     ),
     ((_S.PERSON,), lambda f: f.seen.hold != TAKEN, "The operator's hand is no longer followed: {hold}"),
     ((_S.PERSON,), lambda f: f.seen.hand is None, "The state of the robot hand is unknown"),
@@ -222,7 +222,7 @@ class Execution:
         self._T_base_above, self._began = T_base_above, now
         self._held = self._followed = False
         self.episode += 1
-        self._enter(ExecutionState.APPROACHING, "The arm goes above the grasp.", now)
+        self._enter(ExecutionState.APPROACHING, "The arm goes before the grasp.", now)
 
     def step(self, seen: ExecutionObservation, now: float) -> ExecutionOutcome | None:
         """Returns the outcome of the execution if it ends now; `now` is monotonic time [s]."""
@@ -248,7 +248,7 @@ class Execution:
             if self._watch.closed:
                 self.reason = "The fingers have closed; now lift."
         if self.state == ExecutionState.APPROACHING and self._arrived(seen.T_base_tool):
-            self._enter(ExecutionState.WAITING_FOR_HAND, "The tool waits above the grasp for an operator's hand.", now)
+            self._enter(ExecutionState.WAITING_FOR_HAND, "The tool waits before the grasp for an operator's hand.", now)
         return None
 
     def end(self, sentence: str) -> ExecutionOutcome:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, Union
 
 import numpy as np
 from torch import nn
@@ -18,7 +18,14 @@ from common.poses import inverse, read_only
 from grasping.network.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
 from grasping.network.networks import FLOAT32, frozen, infer
 from grasping.pipeline import projection, refined_grasp
-from grasping.pipeline.tool_pose import LimitsConfig, ToolPoseConfig, preferred, rejection_reason
+from grasping.pipeline.lift_grasps import LiftGrasp, lift_grasps
+from grasping.pipeline.tool_pose import (
+    LimitsConfig,
+    ToolPoseConfig,
+    preferred,
+    rejection_reason,
+    wait_rejection_reason,
+)
 from grasping.pipeline.tracking import (
     AveragingConfig,
     GraspDetection,
@@ -28,6 +35,9 @@ from grasping.pipeline.tracking import (
     TrackingConfig,
 )
 from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
+from grasping.poses.chooser import ImageMaps
+from grasping.poses.hypotheses import MAX_TILT_RAD
+from grasping.poses.lift_network import LiftNetwork
 from grasping.refinement.preference import Preference
 
 OUT_OF_SIGHT = "the best grasp is briefly out of sight"
@@ -48,6 +58,7 @@ class PipelineSettings:
     tool: ToolPoseConfig | None = None  # the hand, with its preferred and largest opening
     up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # vertical in kuka/base_frame, shape (3,)
     precision: str = FLOAT32  # of the network, in `networks.PRECISIONS`
+    max_tilt: float = MAX_TILT_RAD  # of what a network of lifts chooses, from straight down onto the table [rad]
 
 
 class GraspCandidate(NamedTuple):
@@ -58,6 +69,7 @@ class GraspCandidate(NamedTuple):
     normal_missing: bool  # the surface has no clear normal, and the approach is along the axis of the view instead
     rejection: str  # why the grasp is not published, a clause; empty if it is
     uncertainty: refined_grasp.GraspUncertainty | None = None  # None without a refinement
+    own_approach: bool = False  # a network of lifts chose its approach; the quality is the probability of a lift
 
 
 class GraspProposal(NamedTuple):
@@ -73,6 +85,7 @@ class GraspProposal(NamedTuple):
     width_px: float  # opening in the camera's image [px]
     peak: Peak  # in the network's image
     uncertainty: refined_grasp.GraspUncertainty | None  # of the operator's grasp; None without a refinement
+    own_approach: bool  # as of `GraspCandidate`
 
 
 class PipelineResult(NamedTuple):
@@ -93,7 +106,8 @@ class PipelineResult(NamedTuple):
 
 class GraspPipeline:
     """Finds grasps in single depth images or in a stream of them, with GG-CNN or GG-CNN2 and, if given, what an
-    operator prefers. `clock` returns the time [s] by which the stages are timed; the default times nothing.
+    operator prefers, else what a network says of `lifts`. `clock` returns the time [s] by which the stages are timed;
+    the default times nothing.
     """
 
     def __init__(
@@ -103,8 +117,10 @@ class GraspPipeline:
         settings: PipelineSettings,
         refinement: Preference | None = None,
         clock: Callable[[], float] = lambda: 0.0,
+        lifts: LiftNetwork | None = None,
     ) -> None:
         self._views, self._settings, self._clock, self._refinement = views, settings, clock, refinement
+        self._lifts = lifts if refinement is None else None
         self.network = frozen(network, precision=settings.precision)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
@@ -167,25 +183,31 @@ class GraspPipeline:
             return self._tracker.step(detections, now)
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
-    def _peaks(self, output: np.ndarray, view: GraspView) -> tuple[Maps, list[Peak] | list[refined_grasp.RefinedPeak]]:
-        """Returns the smoothed maps and their peaks, with a refinement those that the operator prefers."""
+    def _peaks(self, output: np.ndarray, view: GraspView) -> tuple[Maps, Sequence[_Found]]:
+        """Returns the smoothed maps and their peaks, with a refinement those that the operator prefers, with a network
+        of lifts the grasps that lift most probably."""
         s = self._settings
+        certainty, widest = np.hypot(output[1], output[2]), np.inf if s.tool is None else s.tool.max_opening
+        if self._lifts is not None:
+            maps = smoothed(output, view.image.valid, refined_grasp.SMOOTHING)
+            of = ImageMaps(view.image, view.camera, maps, certainty)
+            return maps, lift_grasps(self._lifts, of, s.count, s.distance, s.threshold, widest, s.max_tilt)
         if self._refinement is None:
             found = maps_of(output, view, s)
             return found, [highest(found)] if s.threshold is None else peaks(found, s.count, s.distance, s.threshold)
         maps = maps_of(output, view, replace(s, smoothing=refined_grasp.SMOOTHING))
-        widest = np.inf if s.tool is None else s.tool.max_opening
-        seen = maps, np.hypot(output[1], output[2]), view.image, view.camera
+        seen = maps, certainty, view.image, view.camera
         return maps, refined_grasp.refined_peaks(self._refinement, *seen, s.count, s.distance, s.threshold, widest)
 
     def _candidates(
-        self,
-        found: Sequence[Peak | refined_grasp.RefinedPeak],
-        view: GraspView,
-        T_base_camera: np.ndarray | None,
+        self, found: Sequence[_Found], view: GraspView, T_base_camera: np.ndarray | None
     ) -> Iterator[GraspCandidate]:
-        s, side = self._settings, len(view.image.input)
+        side = len(view.image.input)
         for one in found:
+            if isinstance(one, LiftGrasp):
+                why = self._rejection(one.grasp, view, T_base_camera, waits=True)
+                yield GraspCandidate(one.peak, one.grasp, False, why, own_approach=True)
+                continue
             refined = one if isinstance(one, refined_grasp.RefinedPeak) else None
             peak = one.peak if isinstance(one, refined_grasp.RefinedPeak) else one
             peak = peak._replace(width=max(0.0, peak.width))
@@ -200,13 +222,24 @@ class GraspPipeline:
             if grasp is None:
                 yield GraspCandidate(peak, None, normal_missing, why)
                 continue
-            if s.limits is not None:
-                T = view.T_camera_view @ grasp.T_camera_grasp
-                T_base = None if T_base_camera is None else T_base_camera @ T
-                opening = np.inf if s.tool is None else s.tool.max_opening
-                why = rejection_reason(T, T_base, grasp.width, opening, s.limits)
+            why = self._rejection(grasp, view, T_base_camera)
             uncertainty = None if refined is None else refined.uncertainty
             yield GraspCandidate(peak, grasp, normal_missing, why, uncertainty)
+
+    def _rejection(
+        self, grasp: projection.CameraGrasp, view: GraspView, T_base_camera: np.ndarray | None, waits: bool = False
+    ) -> str:
+        """Returns why a grasp is outside the limits, or the place where the hand `waits` before it; empty if not."""
+        s = self._settings
+        if s.limits is None:
+            return ""
+        T = view.T_camera_view @ grasp.T_camera_grasp
+        T_base = None if T_base_camera is None else T_base_camera @ T
+        opening = np.inf if s.tool is None else s.tool.max_opening
+        why = rejection_reason(T, T_base, grasp.width, opening, s.limits)
+        if why or not waits or T_base is None or s.tool is None:
+            return why
+        return wait_rejection_reason(T_base, s.tool.clearance, s.up, s.limits)
 
     def _approached(
         self, grasp: projection.CameraGrasp, view: GraspView, T_base_camera: np.ndarray | None
@@ -232,6 +265,8 @@ class GraspPipeline:
     def _reason(self, candidates: tuple[GraspCandidate, ...], grasps: tuple[GraspProposal, ...]) -> str:
         if grasps:
             return ""
+        if not candidates and self._lifts is not None:
+            return f"no grasp lifts with a probability above {self._settings.threshold:.2f}"
         if not candidates:
             return f"no peak of the quality is above {self._settings.threshold:.2f}"
         if all(c.rejection for c in candidates):
@@ -253,10 +288,12 @@ def _proposal(
     T_base = None if T_base_camera is None else tracked.T
     T_camera = tracked.T if T_base_camera is None else read_only(inverse(T_base_camera) @ tracked.T)
     angle, pixel, width_px = projection.seen_by(camera, T_camera, tracked.width)
-    peak = candidate.peak
-    return GraspProposal(
-        tracked.id, T_camera, T_base, tracked.width, peak.quality, angle, pixel, width_px, peak, candidate.uncertainty
-    )
+    peak, seen = candidate.peak, (angle, pixel, width_px)
+    of = candidate.uncertainty, candidate.own_approach
+    return GraspProposal(tracked.id, T_camera, T_base, tracked.width, peak.quality, *seen, peak, *of)
+
+
+_Found = Union[Peak, refined_grasp.RefinedPeak, LiftGrasp]
 
 
 class _StageTimes:

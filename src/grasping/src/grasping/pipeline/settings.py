@@ -6,6 +6,7 @@ A fingerprint of what decides whether two episodes belong together is made of `r
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, get_type_hints
@@ -26,6 +27,7 @@ from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableVie
 from grasping.refinement.refinement_file import Origin
 
 ANY, LISTED = "any", "listed"
+AUTO, MUST, NEVER = "auto", "must", "never"
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,18 @@ class GgcnnConfig:
         "runs",
         empty=True,
     )
+    lifts: str = choice(
+        AUTO, MUST, NEVER, doc="whether a network of lifts chooses tilted grasps: where its file fits, must, or never"
+    )
+    lift_weights: str = text(
+        doc="its weight file: a name in the package's folder weights, or an absolute path; empty: the hand's own",
+        empty=True,
+    )
+    max_tilt: float = number("deg", low=0.0, high=45.0, doc="largest tilt of its grasps from straight down")
+
+    def faults(self) -> list[str]:
+        both = self.refine and self.lifts == MUST
+        return ["lifts is must, but with refine: true it is not asked."] if both else []
 
 
 @dataclass(frozen=True)
@@ -100,7 +114,8 @@ class GgcnnSettings:
         """Returns the settings of the steps behind the view; `up` is the vertical in kuka/base_frame, shape (3,)."""
         p, later = self.peaks, (self.averaging, self.tracking, self.approach, self.limits, self.tool)
         smoothing = Smoothing(p.quality_sigma, p.angle_sigma, p.width_sigma)
-        return PipelineSettings(smoothing, p.count, p.distance, p.threshold, *later, up, self.network.precision)
+        tilt = math.radians(self.main.max_tilt)
+        return PipelineSettings(smoothing, p.count, p.distance, p.threshold, *later, up, self.network.precision, tilt)
 
 
 SECTIONS = {name: schema for name, schema in get_type_hints(GgcnnSettings).items() if name != "main"}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -75,13 +75,18 @@ def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarr
     return pose(R, T_base_grasp[:3, 3] - R @ settings.grip_in_tool)
 
 
+def taken(settings: ToolPoseConfig, own_approach: bool) -> ToolPoseConfig:
+    """Returns how the hand takes a grasp, which may have an approach of its own, whatever the settings say."""
+    return replace(settings, approach=ALONG_GRASP) if own_approach else settings
+
+
 def grasp_in_tool(settings: ToolPoseConfig) -> np.ndarray:
     """Returns T_tool_grasp, shape (4, 4) [m], of the hand on the tool: x through its fingers."""
     return pose(rotation_about(2, math.radians(settings.closing_angle)), settings.grip_in_tool)
 
 
 def above(T_base_tool: np.ndarray, clearance: float) -> np.ndarray:
-    """Returns the tool's pose so far before it, against its z axis: above it where it points down [m]."""
+    """Returns the pose of a tool or grasp so far before it, against its z axis: above it where it points down [m]."""
     return T_base_tool @ translation(0.0, 0.0, -clearance)
 
 
@@ -138,11 +143,25 @@ def rejection_reason(
         return f"it needs an opening of {1e3 * width:.0f} mm, and the hand has {1e3 * opening:.0f} mm"
     if T_base_grasp is None:
         return ""
-    for name, value in zip("xyz", T_base_grasp[:3, 3]):
+    return _outside(T_base_grasp[:3, 3], limits)
+
+
+def _outside(place: np.ndarray, limits: LimitsConfig) -> str:
+    for name, value in zip("xyz", place):
         low, high = getattr(limits, name)
         if not low <= value <= high:
             return f"its {name} is {value:.2f} m in the base frame, and {low:.2f} to {high:.2f} m are allowed"
     return ""
+
+
+def wait_rejection_reason(T_base_grasp: np.ndarray, clearance: float, up: np.ndarray, limits: LimitsConfig) -> str:
+    """Returns why the hand cannot wait `clearance` [m] before a grasp, shape (4, 4) [m], a clause; empty if it can.
+    `up` is the vertical in the base frame, shape (3,)."""
+    before = above(T_base_grasp, clearance)[:3, 3]
+    if clearance > 0.0 and (before - T_base_grasp[:3, 3]) @ up <= 0.0:
+        return "the hand would wait lower than it"
+    why = _outside(before, limits)
+    return f"where the hand would wait for it, {why}" if why else ""
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 from common.config import integer, number
 from common.poses import pose, read_only
 from common.rotations import cross, unit
+from grasping.pipeline.projection import turned
 
 EDGE = np.ones((3, 3), np.uint8)
 
@@ -132,11 +133,14 @@ class GraspTracker:
         return self._best is not None and not self._best.in_sight
 
     def _owners(self, detections: Sequence[GraspDetection]) -> dict[int, _Track]:
-        """Returns the track of each detection: the nearest pairs first, a new track where none is near."""
-        positions = np.array([d.T[:3, 3] for d in detections]).reshape(-1, 1, 3)
-        distances = np.linalg.norm(positions - np.array([t.position for t in self._tracks]).reshape(1, -1, 3), axis=2)
+        """Returns the track of each detection: the most alike pairs first, a new track where none is near."""
+        turn_m = 0.05  # a turn of 1 rad makes as unlike as this distance
+        seen = np.array([d.T for d in detections]).reshape(-1, 1, 4, 4)
+        known = np.array([t.T_seen for t in self._tracks]).reshape(1, -1, 4, 4)
+        distances = np.linalg.norm((seen - known)[..., :3, 3], axis=2)
+        unlike = distances + turn_m * turned(seen[..., :3, :3], known[..., :3, :3])
         near = np.argwhere(distances <= self._config.same_distance).tolist()
-        pairs = sorted((distances[i, k], i, k) for i, k in near)
+        pairs = sorted((unlike[i, k], i, k) for i, k in near)
         owners: dict[int, _Track] = {}
         taken: set[int] = set()
         for _, i, k in pairs:
@@ -264,7 +268,7 @@ class _Track:
 
     def see(self, detection: GraspDetection, index: int, now: float) -> None:
         self._T, self._width = self._filter.step(detection.T, detection.width, now)
-        self.position = detection.T[:3, 3]
+        self.T_seen = detection.T
         self.quality, self.last, self._index = detection.quality, now, index
         self.in_sight = True
 

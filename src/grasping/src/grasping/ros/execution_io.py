@@ -113,7 +113,7 @@ def _proposal(grasp: Grasp) -> ProposedPose:
     if not grasp.pose_base.header.frame_id:
         return ProposedPose(grasp.id, None)
     try:
-        return ProposedPose(grasp.id, pose_in(BASE, grasp.pose_base))
+        return ProposedPose(grasp.id, pose_in(BASE, grasp.pose_base), own_approach=grasp.own_approach)
     except ValueError as error:
         return ProposedPose(grasp.id, None, f"its pose is invalid: {error}")
 
@@ -160,7 +160,7 @@ class ExecutionDisplay:
 
 
 def _ghost(grasp: Grasp, goal: ToolGoal, text: str) -> list[Marker]:
-    """Returns fingers and palm around the grasp, an arrow down to it, and what happens."""
+    """Returns fingers and palm around the grasp, an arrow to it, and what happens."""
     finger_m = (0.012, 0.02, 0.06)  # a finger along x, y and z
     palm_m = (0.08, 0.02)  # the palm along y and z
     arrow_m = 0.008

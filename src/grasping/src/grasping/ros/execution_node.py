@@ -89,7 +89,7 @@ class ExecutionNode:
             self._counts["refused"] += 1
             rospy.logwarn("No grasp is executed: %s", refusal)
             return TriggerResponse(False, refusal)
-        sentence = f"The arm goes above the grasp {self._grasp.id} and waits there for a hand."
+        sentence = f"The arm goes before the grasp {self._grasp.id} and waits there for a hand."
         rospy.loginfo(sentence)
         return TriggerResponse(True, sentence)
 
@@ -103,7 +103,7 @@ class ExecutionNode:
         chosen = execution.choose(request)
         if isinstance(chosen, execution.Refusal):
             return chosen.sentence
-        goal = execution.tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
+        goal = execution.tool_goal(chosen, self._tool, self._home.R_base_tool, self._home.up)
         if isinstance(goal, execution.Refusal):
             return goal.sentence
         refusal = self._hold_above(goal)
@@ -126,7 +126,7 @@ class ExecutionNode:
         return answer.desired, None if answer.success else answer.message
 
     def _hold_above(self, goal: execution.ToolGoal) -> str | None:
-        """Requests that the tool is held above the grasp; returns why it is not, one sentence, or None."""
+        """Requests that the tool is held before the grasp; returns why it is not, one sentence, or None."""
         for T_base_tool in (goal.T_base_tool, goal.T_base_above):
             desired, refusal = self._check(T_base_tool)
             if refusal is not None:

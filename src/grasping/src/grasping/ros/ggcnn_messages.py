@@ -41,6 +41,7 @@ def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Gras
         probability=math.nan if uncertainty is None else uncertainty.probability,
         deviations=[math.nan] * deviations if uncertainty is None else uncertainty.pose_sd.tolist(),
         width_deviation=math.nan if uncertainty is None else uncertainty.opening_sd,
+        own_approach=proposal.own_approach,
         reachable=reach.reachable,
         reason=reach.reason,
     )

@@ -38,7 +38,7 @@ from grasping.network.networks import infer
 from grasping.pipeline import drawing
 from grasping.pipeline.pipeline import OUT_OF_SIGHT, GraspPipeline, GraspProposal, PipelineResult
 from grasping.pipeline.projection import depth_between_fingers
-from grasping.pipeline.settings import GgcnnSettings, live_origin, overlaid, sentences, settings_from
+from grasping.pipeline.settings import NEVER, GgcnnSettings, live_origin, overlaid, sentences, settings_from
 from grasping.pipeline.tool_pose import ASKED, Reachability
 from grasping.refinement.preference import Preference
 from grasping.refinement.refinement_file import of_kind
@@ -46,7 +46,7 @@ from grasping.ros import ggcnn_messages as messages
 from grasping.ros.camera_input import DepthImage, DepthStream
 from grasping.ros.pose_lookup import PoseLookup
 from grasping.ros.reach_client import ReachClient
-from grasping.ros.weight_files import load_network, load_refinement, own_yaml
+from grasping.ros.weight_files import load_lifts, load_network, load_refinement, own_yaml
 
 M_TRIM_THRESHOLD = -1  # mallopt(3)
 M_MMAP_THRESHOLD = -3
@@ -277,11 +277,15 @@ def _run() -> None:
     rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None))
     kinds = load_refinement(main.refinement_weights, rig) if main.refine else {}
     refinement = of_kind(kinds, main.refinement_kind) if main.refine else None
+    lifts = None
+    if main.lifts != NEVER and not main.refine:
+        lifts, why = load_lifts(main.lift_weights, main.lifts, settings.tool.hand, loaded.sha256)
+        rospy.loginfo("%s", why or "A network of lifts chooses the grasps, each with an approach of its own.")
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
         raise RigError(f"The parameter kuka/mounting is not roll, pitch and yaw: {error}.") from None
-    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refinement, perf_counter)
+    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refinement, perf_counter, lifts)
     file, name, sha256, milliseconds = (
         settings.network.weights,
         loaded.name,
@@ -290,7 +294,7 @@ def _run() -> None:
     )
     threads = settings.network.threads
     rospy.loginfo(f"{file} ({name}, SHA-256 {sha256}...) takes {milliseconds:.0f} ms an image on {threads} threads.")
-    about = {"network": name, "weights": sha256, "weights_hand": loaded.hand}
+    about = {"network": name, "weights": sha256, "weights_hand": loaded.hand, "lifts": str(lifts is not None).lower()}
     GgcnnNode(settings, pipeline, RefinementKind(kinds, main.refinement_kind), about).run()
 
 

@@ -73,10 +73,9 @@ def composed(found: GraspList, depth: np.ndarray, heat: np.ndarray, camera: Came
     """Returns both images side by side, uint8, shape (480, 1120, 3) for a depth image of 640 x 480."""
     image = cv2.cvtColor(drawing.grey(depth), cv2.COLOR_GRAY2BGR)
     for i, grasp in reversed(list(enumerate(found.grasps))):
-        fingers = [(sign * 0.5 * grasp.width, 0.0, 0.0, 1.0) for sign in (-1.0, 1.0)]
-        ends = camera.project(np.array(fingers) @ pose_from_message(grasp.pose_camera).T[:, :3])
         colour, thickness = (drawing.OTHER, 1) if i else (drawing.DISC, 2)
-        drawing.gripper(image, ends, f"{grasp.id}: {grasp.quality:.2f}", colour, thickness)
+        T, label = pose_from_message(grasp.pose_camera), f"{grasp.id}: {grasp.quality:.2f}"
+        drawing.gripper(image, camera, T, grasp.width, label, colour, thickness)
     side = len(image)
     return np.hstack([image, cv2.resize(heat, (side, side), interpolation=cv2.INTER_AREA)])
 

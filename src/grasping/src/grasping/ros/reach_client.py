@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import rospy
 
 from common import clock
@@ -18,6 +17,8 @@ from grasping.pipeline.tool_pose import (
     ReachabilityCache,
     ReachConfig,
     ToolPoseConfig,
+    above,
+    taken,
     tool_pose,
 )
 from rig_msgs.srv import CheckToolPose
@@ -34,7 +35,7 @@ class ReachClient:
         self._tool = tool
         self._book = ReachabilityCache(config)
         self._lock = clock.Lock()
-        self._questions: clock.Queue[tuple[int, np.ndarray]] = clock.Queue(maxsize=config.best)
+        self._questions: clock.Queue[GraspProposal] = clock.Queue(maxsize=config.best)
         self._failed = False
         self._busy_since = 0.0
         self.answers = 0
@@ -58,7 +59,7 @@ class ReachClient:
             return Reachability(False, f"only the {self._config.best} best grasps are checked")
         if self._book.wanted(proposal.id, proposal.T_base_grasp, now):
             try:
-                self._questions.put_nowait((proposal.id, proposal.T_base_grasp))
+                self._questions.put_nowait(proposal)
                 self._book.asked(proposal.id, proposal.T_base_grasp, now)
             except clock.Full:
                 pass  # the next image asks again
@@ -69,27 +70,33 @@ class ReachClient:
         poll_s = 0.2
         while not rospy.is_shutdown():
             try:
-                number, T_base_grasp = self._questions.get(timeout=poll_s)
+                proposal = self._questions.get(timeout=poll_s)
             except clock.Empty:
                 continue
             self._busy_since = clock.monotonic()
-            answer = self._answer(T_base_grasp)
+            answer = self._answer(proposal)
             self._busy_since, self._failed = 0.0, answer is None
             with self._lock:
-                self._book.answered(number, answer)
+                self._book.answered(proposal.id, answer)
 
-    def _answer(self, T_base_grasp: np.ndarray) -> Reachability | None:
-        """Returns what the controller says, None if it does not answer."""
+    def _answer(self, proposal: GraspProposal) -> Reachability | None:
+        """Returns what the controller says of the grasp and of where the tool waits before it, None if it does not
+        answer."""
         ahead = (1.0, 0.0, 0.0)  # used until the arm's parameters are set
         try:
             line, mounting = rospy.get_param("kuka/center_line", ahead), rospy.get_param("kuka/mounting", UPRIGHT)
             home = mounting_frame(line, mounting)
-            T = tool_pose(T_base_grasp, self._tool, home.R_base_tool, home.up)
+            tool = taken(self._tool, proposal.own_approach)
+            T = tool_pose(proposal.T_base_grasp, tool, home.R_base_tool, home.up)
         except (TypeError, ValueError) as error:
             return Reachability(False, str(error), True)
         try:
             timeout = self._config.timeout
-            found = call(SERVICE, CheckToolPose, stamped_pose(T, BASE, rospy.Time.now()), timeout=timeout, wait=timeout)
+            for T_asked in (T, above(T, tool.clearance)):
+                asked = stamped_pose(T_asked, BASE, rospy.Time.now())
+                found = call(SERVICE, CheckToolPose, asked, timeout=timeout, wait=timeout)
+                if not found.success:
+                    break
         except ServiceFailed:
             return None
         self.answers += 1

@@ -10,8 +10,10 @@ import yaml
 
 from common.errors import RigError
 from grasping.network import weights
-from grasping.network.weights import Loaded, WeightsError, listed_sha256
-from grasping.pipeline.settings import ANY, LISTED, NetworkConfig
+from grasping.network.weights import Loaded, WeightsError, checked_sha256, listed_sha256
+from grasping.pipeline.settings import ANY, AUTO, LISTED, NetworkConfig
+from grasping.poses import lift_network
+from grasping.poses.lift_network import LiftNetwork
 from grasping.refinement import refinement_file
 from grasping.refinement.preference import Preference
 from grasping.refinement.refinement_file import Origin
@@ -55,6 +57,27 @@ def load_refinement(name: str, rig: Origin) -> dict[str, Preference]:
     if mismatch:
         raise WeightsError(f"The refinement in {path} {mismatch}.")
     return found
+
+
+def load_lifts(name: str, wanted: str, hand: str, ggcnn: str) -> tuple[LiftNetwork | None, str]:
+    """Returns the network of lifts in a weight file, checked as that of `load_refinement`; `name`: of the file, empty:
+    the hand's own; `ggcnn`: SHA-256 of GG-CNN's file. If the file is missing or made for another hand or GG-CNN, raises
+    RigError, but returns None and why if `wanted` is AUTO.
+    """
+    name = name or f"lifts_{hand}.pt"
+    path = _path(name)
+    try:
+        data = _content(path)
+        checked_sha256(data, None if name.startswith("/") else _listed(path))
+        found = lift_network.loaded(data)
+        if (found.hand, found.ggcnn) != (hand, ggcnn):
+            made_for, here = f"{found.hand} and the GG-CNN {found.ggcnn[:12]}", f"{hand} and {ggcnn[:12]}"
+            raise WeightsError(f"The network of lifts in {path} was made for the hand {made_for}, not for {here}.")
+    except RigError as error:
+        if wanted != AUTO:
+            raise
+        return None, f"GG-CNN alone proposes grasps. {error}"
+    return found, ""
 
 
 def _listed(path: Path) -> str:

@@ -9,6 +9,8 @@ the refinement needs, have no topic.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import rospy
 import tf2_ros
@@ -153,9 +155,9 @@ class GraspCollection:
             rospy.logerr("An outcome on grasping/outcome is invalid: %s.", error)
             return
         with self._lock:
-            finished = self._collector.outcome(
-                ObservedGrasp(message.header.stamp.to_sec(), T_base_tool, message.held, message.reason)
-            )
+            grasp = ObservedGrasp(message.header.stamp.to_sec(), T_base_tool, message.held, message.reason)
+            proposal = message.proposal
+            finished = self._collector.outcome(grasp, proposal.quality if proposal.own_approach else math.nan)
         self._store(finished)
 
     def _take_time(self, now: rospy.Time) -> None:
@@ -176,7 +178,7 @@ class GraspCollection:
             )
             return
         metadata = setup.metadata(grasp, finished.source, self._object_name(), frames.optics.real, self._T_base_camera)
-        self._files.put(frames.episode(grasp, metadata, *tool))
+        self._files.put(frames.episode(grasp, metadata, *tool, lift=finished.lift))
 
     def _object_name(self) -> str:
         """Returns the name of the object now; the last one while the parameter is no text."""

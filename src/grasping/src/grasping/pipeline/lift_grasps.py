@@ -1,0 +1,52 @@
+"""The grasps of an image that lift most probably, each with an approach of its own: what the network of lifts chooses,
+without near duplicates."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from common.poses import read_only
+from grasping.network.maps import Peak
+from grasping.pipeline.projection import CameraGrasp, seen_by, turned
+from grasping.poses.chooser import ImageMaps, choose
+from grasping.poses.hypotheses import pixels_of
+from grasping.poses.lift_network import LiftNetwork
+
+ALIKE_RAD = 0.5  # grasps near each other and turned by less are one
+
+
+class LiftGrasp(NamedTuple):
+    """A grasp with the probability that it lifts as its quality."""
+
+    peak: Peak  # in the network's image
+    grasp: CameraGrasp  # before the view's camera
+
+
+def lift_grasps(
+    network: LiftNetwork,
+    of: ImageMaps,
+    count: int,
+    distance: int,
+    threshold: float | None,
+    widest: float,
+    max_tilt: float,
+) -> list[LiftGrasp]:
+    """Returns at most `count` grasps above a probability, best first; None as `threshold`: the best alone. Those within
+    `distance` rows and columns differ in direction. `widest`: opening of the hand [m]; `max_tilt` [rad]."""
+    scored = choose(network, of, widest, max_tilt)
+    T, opening, probability = scored.of.T, scored.of.opening, scored.probability
+    rows, columns, _ = pixels_of(T[:, :3, 3], of.image, of.camera)
+    left = probability > (-1.0 if threshold is None else threshold)
+    found: list[LiftGrasp] = []
+    while left.any() and len(found) < (1 if threshold is None else count):
+        i = int(np.argmax(left))
+        angle, pixel, wide = seen_by(of.camera, T[i], float(opening[i]))
+        width = wide * len(of.image.depth) / of.image.crop.side
+        peak = Peak(int(rows[i]), int(columns[i]), float(probability[i]), angle, width)
+        grasp = CameraGrasp(read_only(T[i]), angle, float(opening[i]), width, peak.quality, pixel)
+        found.append(LiftGrasp(peak, grasp))
+        near = np.maximum(np.abs(rows - rows[i]), np.abs(columns - columns[i])) <= distance
+        left &= ~(near & (turned(T[:, :3, :3], T[i, :3, :3]) < ALIKE_RAD))
+    return found

@@ -1,0 +1,160 @@
+"""Laws of the grasps that a network of lifts chooses in the whole chain from depth images."""
+
+from __future__ import annotations
+
+import itertools
+import re
+
+import numpy as np
+import pytest
+import torch
+from table_scene import CAMERA, Nearest, depth_picture
+from test_pipeline import ABOVE, ASIDE, BOX, DT, UP, YAML, Broken, leaning
+
+from common.errors import ConfigError
+from common.poses import check_pose, inverse
+from grasping.pipeline import drawing
+from grasping.pipeline.lift_grasps import ALIKE_RAD
+from grasping.pipeline.pipeline import GraspPipeline, PipelineResult
+from grasping.pipeline.projection import turned
+from grasping.pipeline.settings import overlaid, settings_from
+from grasping.poses.hand_view import SCALARS
+from grasping.poses.hypotheses import MAX_TILT_RAD
+from grasping.poses.lift_network import LiftNetwork
+
+BOXES = (BOX, (-0.12, 0.1, 0.0, (0.05, 0.05, 0.06)))
+LOW = {"peaks": {"threshold": 0.0}}
+
+
+class Likes(LiftNetwork):
+    """Believes in lifts the more, the better GG-CNN's quality and line, and the nearer the tilt to the wanted one."""
+
+    def __init__(self, tilt=0.0):
+        super().__init__()
+        self._cos = float(np.cos(tilt))
+
+    def forward(self, features):
+        quality, agrees, _, _, _, down = features[:, -SCALARS:].T[:6]
+        return 10.0 * quality + 2.0 * agrees - 50.0 * torch.abs(down - self._cos) - 4.0
+
+
+def chain(changes=None, lifts=None, network=None, refinement=None):
+    s = settings_from(overlaid(YAML, changes or {}))
+    lifts = Likes() if lifts is None else lifts
+    clock = itertools.count().__next__
+    return GraspPipeline(s.views(), network or Nearest(), s.steps(UP), refinement, clock, lifts)
+
+
+def look(of: GraspPipeline, place=ABOVE, boxes=BOXES, known=True, images=1) -> PipelineResult:
+    depth = depth_picture(place, boxes)
+    for i in range(images):
+        found = of.step(depth, CAMERA, place if known else None, DT * i)
+    return found
+
+
+def orientations(found: PipelineResult) -> np.ndarray:
+    return np.array([grasp.T_camera_grasp[:3, :3] for grasp in found.grasps])
+
+
+@pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
+def test_what_lifts_from_above_has_the_pose_that_it_had_without_the_network(place):
+    changes = {"approach": {"kind": "vertical"}, "peaks": {"quality_sigma": 2.0, "threshold": 0.01}, "max_tilt": 0.0}
+    s = settings_from(overlaid(YAML, changes))
+    old = look(GraspPipeline(s.views(), Nearest(), s.steps(UP)), place).grasps[0]
+    new = look(chain(changes), place).grasps[0]
+    T = check_pose(new.T_base_grasp)
+    np.testing.assert_allclose(T[:3, 2], -UP, atol=0.01)
+    np.testing.assert_allclose(T[:3, 3], old.T_base_grasp[:3, 3], atol=0.015)
+    assert turned(T[:3, :3], old.T_base_grasp[:3, :3]) < 0.2
+    assert new.own_approach and not old.own_approach
+
+
+@pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
+@pytest.mark.parametrize("view", ["table", "camera"])
+@pytest.mark.parametrize("most", [0.0, 20.0, 45.0])
+def test_tilts_count_from_the_tables_normal_and_are_bounded_wherever_the_camera_is(place, view, most):
+    found = look(chain({"view": view, "max_tilt": most, **LOW}, Likes(tilt=np.radians(40.0))), place)
+    cos = np.array([grasp.T_base_grasp[:3, 2] @ -UP for grasp in found.grasps])
+    assert len(cos) and np.degrees(np.arccos(cos.min())) < most + 2.0
+    assert np.degrees(np.arccos(cos[0])) == pytest.approx(min(most, 40.0), abs=5.0)
+
+
+def test_proposals_are_distinct_in_the_order_of_their_probability_and_no_more_than_wanted():
+    for count in (1, 3, 10):
+        found = look(chain({"peaks": {"count": count, "threshold": 0.0}}, Likes(0.3)))
+        assert len(found.candidates) == count
+        assert [c.peak.quality for c in found.candidates] == sorted((g.quality for g in found.grasps), reverse=True)
+        assert all(0.0 <= grasp.quality <= 1.0 for grasp in found.grasps)
+        R, peaks = orientations(found), [grasp.peak for grasp in found.grasps]
+        for i, j in itertools.combinations(range(len(peaks)), 2):
+            away = max(abs(peaks[i].row - peaks[j].row), abs(peaks[i].column - peaks[j].column))
+            assert away > YAML["peaks"]["distance"] or turned(R[i], R[j]) >= ALIKE_RAD - 1e-6
+
+
+def test_a_grasp_is_seen_where_it_is_and_keeps_its_number():
+    of = chain(LOW, Likes(0.4))
+    first = look(of).grasps
+    for grasp in first:
+        np.testing.assert_allclose(CAMERA.project(grasp.T_camera_grasp[:3, 3]), grasp.pixel, atol=1e-6)
+        np.testing.assert_allclose(ABOVE @ grasp.T_camera_grasp, grasp.T_base_grasp, atol=1e-9)
+    second = of.step(depth_picture(ABOVE, BOXES), CAMERA, ABOVE, 5 * DT).grasps
+    assert [grasp.id for grasp in first] == [grasp.id for grasp in second]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"peaks": {"threshold": 1.0}}, "no grasp lifts with a probability above 1.00"),
+        ({"limits": {"x": [0.5, 1.0]}}, "its x is .* m in the base frame, and 0.50 to 1.00 m are allowed"),
+        ({"limits": {"z": [-0.2, 0.1]}, **LOW}, "where the hand would wait for it, its z is 0.* m in the base frame"),
+    ],
+)
+def test_no_grasp_has_a_reason(changes, reason):
+    found = look(chain(changes))
+    assert found.grasps == () and re.search(reason, found.reason), found.reason
+
+
+@pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
+def test_an_empty_table_nonsense_and_no_table_have_reasons_or_grasps_but_no_faults(place):
+    assert look(chain(), place, ()).reason == "nothing stands on the table"
+    assert "no grasp lifts" in look(chain({"view": "camera", "peaks": {"threshold": 0.9999}}), place, ()).reason
+    assert look(chain(network=Broken()), place).reason == "the network's maps are not finite"
+    rough = np.random.default_rng(0).uniform(0.5, 1.5, (480, 640)).astype(np.float32)
+    for view in ("table", "camera"):
+        for grasp in chain({"view": view, **LOW}).step(rough, CAMERA, place).grasps:
+            check_pose(grasp.T_camera_grasp)
+    assert chain().step(np.full((480, 640), np.nan, np.float32), CAMERA, place).grasps == ()
+
+
+def test_without_the_cameras_place_there_are_grasps_before_the_camera():
+    found = look(chain({"limits": {"z": [-0.2, 0.1]}, **LOW}), known=False)
+    assert found.grasps[0].T_base_grasp is None
+
+
+def test_with_a_refinement_the_operator_is_asked_instead():
+    found = look(chain(refinement=leaning(0.1, height=0.01)))
+    assert not found.grasps[0].own_approach and found.grasps[0].uncertainty is not None
+    with pytest.raises(ConfigError, match="lifts is must, but with refine: true it is not asked"):
+        settings_from(overlaid(YAML, {"refine": True, "lifts": "must"}))
+    assert settings_from(YAML).steps(UP).max_tilt == MAX_TILT_RAD
+
+
+def test_a_tilted_grasp_is_drawn_tilted():
+    """The line of its approach ends where the camera sees a point of it, and a straight one has nearly none."""
+    lengths = []
+    for tilt in (0.0, 0.6):
+        found = look(chain({"peaks": {"count": 1}, "max_tilt": np.degrees(tilt)}, Likes(tilt)), images=1)
+        image = np.zeros((600, 600, 3), np.uint8)
+        T, view = inverse(found.view.T_camera_view) @ found.grasps[0].T_camera_grasp, found.view
+        drawing.gripper(image, view.camera, T, 0.0, "", drawing.BEST, 1, view.image.crop)
+        rows, columns = np.nonzero(image.any(axis=-1))
+        start, end = (2.0 * view.camera.project((T @ (0.0, 0.0, -back, 1.0))[:3]) + 0.5 for back in (0.0, 0.1))
+        lengths.append(np.linalg.norm(end - start))
+        assert min(np.hypot(columns - end[0], rows - end[1])) < 2.0
+        assert (drawing.heat_map(found, set(), "") == drawing.BEST).all(axis=-1).any()
+    assert lengths[1] > lengths[0] + 40.0
+    near = T.copy()
+    near[2, 3] = 0.05
+    blank = np.zeros((600, 600, 3), np.uint8)
+    drawing.gripper(blank, view.camera, near, 0.05, "1", drawing.BEST, 1)
+    assert not blank.any()
