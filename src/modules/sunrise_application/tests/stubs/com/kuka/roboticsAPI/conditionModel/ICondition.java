@@ -1,0 +1,5 @@
+package com.kuka.roboticsAPI.conditionModel;
+
+public interface ICondition {
+    boolean fired();
+}

@@ -1,0 +1,7 @@
+package com.kuka.roboticsAPI.controllerModel.sunrise;
+
+public interface ISafetyState {
+    SunriseSafetyState.EnablingDeviceState getEnablingDeviceState();
+
+    SunriseSafetyState.SafetyStopType getSafetyStopSignal();
+}

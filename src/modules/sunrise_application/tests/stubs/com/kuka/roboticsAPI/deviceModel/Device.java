@@ -1,0 +1,3 @@
+package com.kuka.roboticsAPI.deviceModel;
+
+public class Device { }

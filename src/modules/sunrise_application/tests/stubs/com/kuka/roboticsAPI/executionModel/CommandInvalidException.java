@@ -1,0 +1,7 @@
+package com.kuka.roboticsAPI.executionModel;
+
+public class CommandInvalidException extends RuntimeException {
+    private static final long serialVersionUID = 1;
+
+    public CommandInvalidException(String message) { super(message); }
+}

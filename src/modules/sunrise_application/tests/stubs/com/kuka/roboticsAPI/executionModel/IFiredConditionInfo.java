@@ -1,0 +1,7 @@
+package com.kuka.roboticsAPI.executionModel;
+
+import com.kuka.roboticsAPI.conditionModel.ICondition;
+
+public interface IFiredConditionInfo {
+    ICondition getFiredCondition();
+}

@@ -1,0 +1,3 @@
+package com.kuka.roboticsAPI.motionModel;
+
+public enum ErrorHandlingAction { Ignore }
