@@ -36,7 +36,8 @@ class Split(NamedTuple):
 
 def _all_splits() -> dict[str, Split]:
     """Returns the splits by name; those of a person and of a kind are a simulated operator's."""
-    one_kind = [Split(100 + i, (family,)) for i, family in enumerate((*shapes.TRAINING, *shapes.HELD_OUT))]
+    kinds = *shapes.TRAINING, *shapes.HELD_OUT, *shapes.UNSEEN
+    one_kind = [Split(100 + i, (family,)) for i, family in enumerate(kinds)]
     trained = *shapes.TRAINING, random_urdfs.seen_blob
     chosen_by, held_out = (*shapes.TRAINING, random_urdfs.other_blob), (*shapes.HELD_OUT, *shapes.UNSEEN)
     return {

@@ -1,8 +1,9 @@
 """Simulated operators who grasp, and episodes of them in the form of the recorded ones; no person was measured.
 
 Each sees the exact labels, chooses by rules of its own (`OPERATORS`), not always alike (`whim`), and grasps beside the
-chosen place by a constant bias and a tremor. The hand leans with the surface and away from the operator, who sits below
-the image. Whether the thing was held says the physics of `evaluation.lifting`, the gripper as wide open as the hand.
+chosen place by a constant bias and a tremor. The hand leans with the surface, away from the operator, who sits below
+the image, and to a side, and goes deeper the higher the place is. Whether the thing was held says the physics of
+`evaluation.lifting`, the gripper as wide open as the hand.
 """
 
 from __future__ import annotations
@@ -54,6 +55,8 @@ class SimulatedOperator(NamedTuple):
     turn: float = 4.0  # of that line by the height [rad/m]
     lean: float = 0.3  # away from the operator, on the table [rad]; less with the height, none from
     upright: float = 0.12  # this height on [m]
+    sideways: float = 0.0  # that the approach leans to the left, of a hand from the right [rad]
+    dip: float = 0.0  # how much further the hand goes along its approach, as a fraction of the place's height
     follow: float = 0.4  # fraction of the surface's lean that the hand takes over
     margin: float = 0.005  # that the hand opens wider than it must, on the table [m]
     generous: float = 0.15  # how much more by the height [m/m]
@@ -68,15 +71,15 @@ OPERATORS: Mapping[str, SimulatedOperator] = {
     "high": SimulatedOperator(),
     # Takes a thing by its middle, across it, and comes down straight.
     "middle": SimulatedOperator(
-        higher=0.0, slender=1.0, middle=8.0, across=0.3, whim=0.1, turn=0.0, lean=0.08, follow=0.2, margin=0.01,
-        generous=0.0, bias=(-0.006, 0.010, 0.0), tremor_m=0.004, tremor_rad=np.radians(4.0)),
+        higher=0.0, slender=1.0, middle=8.0, across=0.3, whim=0.1, turn=0.0, lean=0.08, dip=0.2, follow=0.2,
+        margin=0.01, generous=0.0, bias=(-0.006, 0.010, 0.0), tremor_m=0.004, tremor_rad=np.radians(4.0)),
     # The handle first, else whatever is slender; not the bulk.
     "handle": SimulatedOperator(
-        higher=1.0, slender=4.0, handle=0.6, whim=0.1, turn=2.0, lean=0.2, follow=0.3,
+        higher=1.0, slender=4.0, handle=0.6, whim=0.1, turn=2.0, lean=0.2, sideways=-0.2, follow=0.3,
         bias=(0.003, -0.012, 0.004), tremor_m=0.006, tremor_rad=np.radians(6.0)),
     # The end that is nearest to the operator, with a hand that leans.
     "near": SimulatedOperator(
-        higher=0.0, slender=2.0, near=8.0, comfort=0.1, whim=0.15, twist=0.1, turn=0.0, lean=0.35, follow=0.2,
+        higher=0.0, slender=2.0, near=8.0, comfort=0.1, whim=0.15, twist=0.1, turn=0.0, lean=0.5, dip=0.1, follow=0.2,
         bias=(0.002, -0.008, -0.004)),
     # Away from the outline, rather high: nothing shall slip out or tip over.
     "inside": SimulatedOperator(
@@ -85,8 +88,8 @@ OPERATORS: Mapping[str, SimulatedOperator] = {
     # A firm hold low on the bulk, where the wrist need not turn: a right hand that comes from the lower right.
     "firm": SimulatedOperator(
         higher=-4.0, slender=-4.0, middle=3.0, comfort=0.3, wrist=np.radians(35.0), whim=0.1, twist=-0.08, turn=0.0,
-        lean=0.15, follow=0.1, margin=0.02, generous=0.0, bias=(0.005, 0.002, 0.006), tremor_m=0.007,
-        tremor_rad=np.radians(6.0)),
+        lean=0.15, sideways=0.3, dip=0.3, follow=0.1, margin=0.02, generous=0.0, bias=(0.005, 0.002, 0.006),
+        tremor_m=0.007, tremor_rad=np.radians(6.0)),
 }
 # fmt: on
 """Six differing tastes, hands and misses, written down as rules before anything was fitted to them."""
@@ -196,20 +199,28 @@ def lean(operator: SimulatedOperator, height: np.ndarray, at: tuple[int, int]) -
     steep = 1.0 + np.hypot(down, right)  # an edge is no slope to lean with
     away = operator.lean * max(0.0, 1.0 - max(0.0, height[at]) / operator.upright)
     # Rows run against the base frame's y axis.
-    return np.array([away - operator.follow * down / steep, -operator.follow * right / steep])
+    return np.array([away - operator.follow * down / steep, operator.sideways - operator.follow * right / steep])
 
 
 def grasp_pose(
-    operator: SimulatedOperator, position: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
+    operator: SimulatedOperator,
+    position: np.ndarray,
+    line: np.ndarray,
+    leant: np.ndarray,
+    height: float,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """Returns the operator's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach. In the base
-    frame: `position`, shape (3,) [m], the fingers' direction `line`, shape (3,), lean about x and y, shape (2,) [rad].
+    frame: `position`, shape (3,) [m], its `height` above the table [m], the fingers' direction `line`, shape (3,), lean
+    about x and y, shape (2,) [rad].
     """
     x = line - (line @ DOWN) * DOWN
     x /= np.linalg.norm(x)
     upright = np.column_stack([x, np.cross(DOWN, x), DOWN])
-    R = pin.exp3(np.append(leant, 0.0)) @ upright @ pin.exp3(rng.normal(0.0, operator.tremor_rad, 3))
-    return pose(R, position + operator.bias + rng.normal(0.0, operator.tremor_m, 3))
+    R = pin.exp3(np.append(leant, 0.0)) @ upright
+    deep = operator.dip * max(0.0, height) * R[:, 2]
+    R = R @ pin.exp3(rng.normal(0.0, operator.tremor_rad, 3))
+    return pose(R, position + deep + operator.bias + rng.normal(0.0, operator.tremor_m, 3))
 
 
 def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.random.Generator) -> float:
@@ -235,7 +246,7 @@ def choose(of: EpisodeScene, who: SimulatedOperator, steady: bool = False) -> Ch
     angle = labels.angle_at(of.found, k, cell) + who.twist + who.turn * max(0.0, height)
     line = of.T_base_world[:3, :3] @ of.view.camera.R @ np.array([np.cos(angle), -np.sin(angle), 0.0])
     leant = lean(who, of.features.height, cell)
-    T_base_grasp = grasp_pose(who, of.features.position[cell], line, leant, rng)
+    T_base_grasp = grasp_pose(who, of.features.position[cell], line, leant, height, rng)
     return Chosen(T_base_grasp, opening(who, float(of.found.openings[k][cell]), height, rng))
 
 
