@@ -15,16 +15,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from test_programs import call
 
 from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.dataset.labels import relative_label
+from grasping.lab.evaluation import person_study
+from grasping.lab.evaluation.person_study import BOTH, NETWORK, PERSON
 from grasping.lab.programs import evaluate, evaluate_refinement, make_dataset, make_episodes, train_refinement
 from grasping.lab.programs.make_episodes import EpisodeTask
 from grasping.lab.synthetic import simulated_operator
 from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
 from grasping.lab.training import refinement_examples
+from grasping.poses import taste_file
+from grasping.poses.lift_network import LiftNetwork, saved
 from grasping.refinement import refinement_file
 from grasping.refinement.refinement_file import Origin, content
 
@@ -195,37 +200,49 @@ def failing_every_other(decode):
     return lambda data: replace(decode(data), held=next(count) % 2 == 0)
 
 
-def test_predictors_are_compared(every, tmp_path, monkeypatch):
+@pytest.fixture(scope="module", name="lifts")
+def lifts_fixture(tmp_path_factory):
+    file = tmp_path_factory.mktemp("lifts") / "lifts.pt"
+    torch.manual_seed(0)
+    torch.save(saved(LiftNetwork()), file)
+    return file
+
+
+def test_predictors_are_compared_and_the_study_reads_it(every, lifts, tmp_path, monkeypatch):
     both, results = tmp_path / "both", tmp_path / "results"
     for who in ("high", "middle"):
         shutil.copytree(every / who, both / who)
-    call(monkeypatch, evaluate_refinement, both, results, "--few", 3)
+    call(monkeypatch, evaluate_refinement, both, results, lifts, "--few", 0, 3)
     rows = list(csv.DictReader((results / "results.csv").read_text().splitlines()))
-    tested = [simulated_operator.file_name("kind_hammer", n) for n in NUMBERS[3:]]
-    wanted = sorted(
-        (f"{who}/{n}", m) for who in ("high", "middle") for n in tested for m in evaluate_refinement.METHODS
+    tested = [f"{who}/{simulated_operator.file_name('kind_hammer', n)}" for who in ("high", "middle") for n in (3, 4)]
+    methods = [(NETWORK, "0"), (PERSON, "0"), (evaluate_refinement.LIFTS, "0"), (BOTH, "0"), (BOTH, "3")]
+    assert sorted((r["episode"], r["method"], r["shown"]) for r in rows) == sorted(
+        (e, *m) for e in tested for m in methods
     )
-    assert sorted((r["episode"], r["method"]) for r in rows) == wanted
     assert {r["lifted"] for r in rows} <= {"True", "False"}
-    of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in evaluate_refinement.METHODS}
-    for name in of[evaluate_refinement.ALONE]:
-        positions = [of[m][name]["position_mm"] for m in (evaluate_refinement.ALONE, evaluate_refinement.MISS)]
-        assert positions[0] != positions[1]
-        # Without outcomes nothing constrains it.
-        assert of["refinement"][name]["meant_mm"] == of["without constraint"][name]["meant_mm"]
+    of = {m: {r["episode"]: r for r in rows if (r["method"], r["shown"]) == m} for m in methods}
+    for name in tested:
+        safest = of[evaluate_refinement.LIFTS, "0"][name]
+        # Before anything is shown, the safest grasp is taken.
+        assert of[BOTH, "0"][name]["meant_mm"] == safest["meant_mm"]
+        assert of[BOTH, "0"][name]["lifted"] == safest["lifted"]
+        assert float(of[PERSON, "0"][name]["position_mm"]) == 0.0 < float(of[PERSON, "0"][name]["meant_mm"])
     table = (results / "table.md").read_text()
     assert "n = 4 episodes in 2 scenes" in table
-    assert "| refinement - GG-CNN alone |" in table
+    assert "| taste, 3 shown - GG-CNN alone |" in table
+    assert len(person_study.kept(person_study.read(results / "results.csv"), 3)) == 12
 
 
-def test_after_no_episodes_it_is_ggcnn_alone(every, tmp_path, monkeypatch):
-    call(monkeypatch, evaluate_refinement, every / "high", tmp_path, "--few", 0, "--no-lifting")
-    rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
-    of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in evaluate_refinement.METHODS}
-    assert len(of["refinement"]) == len(NUMBERS)
-    for name, row in of["refinement"].items():
-        assert row["position_mm"] == of[evaluate_refinement.ALONE][name]["position_mm"]
-    assert {r["lifted"] for r in rows} == {""}
+def test_a_taste_is_trained_on_a_network_of_lifts(data, lifts, tmp_path, monkeypatch, capsys):
+    call(monkeypatch, train_refinement, data, tmp_path / "run", "--lifts", lifts)
+    found = taste_file.load((tmp_path / "run" / "weights.pt").read_bytes())
+    assert list(found.kinds) == ["hammer"] and found.kinds["hammer"].weights.any()
+    assert found.lifts == hashlib.sha256(lifts.read_bytes()).hexdigest()
+    assert found.origin.network == hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
+    lifts.with_name("none.pt").write_bytes(b"none")
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_refinement, data, tmp_path / "run", "--lifts", lifts.with_name("none.pt"))
+    assert "holds no weights of the network of lifts" in capsys.readouterr().err
 
 
 def test_intervals_are_over_scenes():
@@ -281,9 +298,9 @@ def test_a_damaged_episode_is_named(tmp_path, data, monkeypatch, capsys):
     assert "torn.npz: The file is torn or damaged" in capsys.readouterr().err
 
 
-def test_nothing_to_test_on_is_refused(data, monkeypatch, capsys, tmp_path):
+def test_nothing_to_test_on_is_refused(data, lifts, monkeypatch, capsys, tmp_path):
     with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate_refinement, data, tmp_path / "results", "--few", len(NUMBERS))
+        call(monkeypatch, evaluate_refinement, data, tmp_path / "results", lifts, "--few", len(NUMBERS))
     assert f"has more than {len(NUMBERS)} episodes of a kind to test on" in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
 

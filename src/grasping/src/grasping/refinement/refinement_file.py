@@ -83,7 +83,7 @@ def load(data: bytes, sha256: str | None = None) -> tuple[dict[str, Preference],
     one_kind = 3  # the version of before, whose files hold one preference and do not say of which kind
     weights.checked_sha256(data, sha256)
     state = weights.torch_state(data)
-    about = _about(state.pop(ABOUT, None))
+    about = about_of(state.pop(ABOUT, None))
     if about.get("version") not in (one_kind, VERSION):
         raise WeightsError(
             f"The weight file holds no refinement of version {VERSION}: train it again on the same episodes with "
@@ -91,7 +91,7 @@ def load(data: bytes, sha256: str | None = None) -> tuple[dict[str, Preference],
         )
     prefixes = {ANY_KIND: ""}
     if about["version"] == VERSION:
-        prefixes = {name: _prefix(i) for i, name in enumerate(_kinds(about))}
+        prefixes = {name: _prefix(i) for i, name in enumerate(kinds_of(about))}
     wanted = {}
     for prefix in prefixes.values():
         with_lifts = f"{prefix}lift_weights" in state
@@ -112,7 +112,7 @@ def load(data: bytes, sha256: str | None = None) -> tuple[dict[str, Preference],
         name: _preference({key[len(prefix) :]: value for key, value in found.items() if key.startswith(prefix)})
         for name, prefix in prefixes.items()
     }
-    return kinds, _origin(about)
+    return kinds, origin_of(about)
 
 
 def of_kind(kinds: Mapping[str, Preference], name: str) -> Preference:
@@ -157,7 +157,7 @@ def _preference(found: Mapping[str, np.ndarray]) -> Preference:
     return Preference(Taste(found["weights"], found["miss"], spread, angle_spread, hand), model)
 
 
-def _about(codes: torch.Tensor | None) -> dict[str, Any]:
+def about_of(codes: torch.Tensor | None) -> dict[str, Any]:
     """Returns the description in a weight file; empty where it is missing or unreadable."""
     if codes is None:
         return {}
@@ -168,7 +168,7 @@ def _about(codes: torch.Tensor | None) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _kinds(about: dict[str, Any]) -> list[str]:
+def kinds_of(about: dict[str, Any]) -> list[str]:
     given = about.get("kinds")
     names = [name for name in given if isinstance(name, str) and name] if isinstance(given, list) else []
     if not names or names != given or len(set(names)) < len(names):
@@ -176,7 +176,7 @@ def _kinds(about: dict[str, Any]) -> list[str]:
     return names
 
 
-def _origin(about: dict[str, Any]) -> Origin:
+def origin_of(about: dict[str, Any]) -> Origin:
     names = {f.name for f in fields(Origin)}
     if about.keys() - {"version", "kinds"} != names or about["view"] not in (None, *VIEWS):
         raise WeightsError("The weight file does not say of what rig it is, or names a view that is not known.")

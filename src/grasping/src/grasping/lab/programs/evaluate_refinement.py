@@ -1,11 +1,11 @@
-"""Compares predictors of operators' grasps after a few episodes of a kind of object.
+"""Compares predictors of operators' grasps after a few shown grasps of a kind of object.
 
-Of each operator and object in the folder the first episodes teach (`--few`, by the files' names), the others test:
-GG-CNN alone, GG-CNN with the operator's constant miss, the refinement, and the refinement without its constraint. How
-far each grasp is from the operator's, in the last frame: as recorded; and as it was meant, without the constant miss
-and the tremor, which is known of simulated operators alone. Where the episodes are simulated, each grasp is tried by
-lifting in MuJoCo, hand wide open. Results go to results.csv, one line a grasp, and table.md, with the differences over
-the same episodes. Intervals are over scenes: several operators in one scene are one case.
+Of each operator and object in the folder the first episodes teach, as many as each number of `--few` says, by the
+files' names; those behind the greatest number test: GG-CNN alone, the network of lifts alone, it with the operator's
+taste, and the operator's own grasp. How far each grasp is from the operator's, in the last frame: as recorded; and as
+it was meant, without the constant miss and the tremor, which is known of simulated operators alone. Where the episodes
+are simulated, each grasp is tried by lifting in MuJoCo. Results go to results.csv, one line a grasp, and table.md, with
+the differences over the same episodes. Intervals are over scenes: several operators in one scene are one case.
 """
 
 from __future__ import annotations
@@ -24,31 +24,34 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from common.command_line import whole
 from common.errors import RigError
-from common.poses import inverse, pose
-from common.rotations import rotation_about, rotation_angle
+from common.poses import inverse
 from common.statistics import RESAMPLES
-from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import own_grasp
+from grasping.lab.evaluation.grasp_distance import NEAR_M, miss
+from grasping.lab.evaluation.person_study import BOTH, NETWORK, PERSON
 from grasping.lab.evaluation.tables import markdown_table
 from grasping.lab.programs import train_refinement
 from grasping.lab.programs.evaluate import open_results
 from grasping.lab.programs.make_dataset import ignore_warning
-from grasping.lab.programs.train_refinement import Lesson, Named
+from grasping.lab.programs.train_refinement import Named
 from grasping.lab.synthetic import simulated_operator
-from grasping.refinement import preference
-from grasping.refinement.candidates import Candidates
-from grasping.refinement.lifts import LiftModel
-from grasping.refinement.preference import Preference
+from grasping.lab.synthetic.samples import GRIPPER
+from grasping.lab.training import lift_examples
+from grasping.lab.training import refinement_examples as examples
+from grasping.poses import taste
+from grasping.poses.chooser import ImageMaps
+from grasping.poses.lift_network import LiftNetwork, loaded
+from grasping.poses.preferred import Offer, offer, preferred
+from grasping.poses.taste import PoseTaste
 
-ALONE, MISS, REFINED, FREE = METHODS = "GG-CNN alone", "GG-CNN + constant miss", "refinement", "without constraint"
+LIFTS = "network of lifts"
 COLUMNS = (
-    *("episode", "scene", "operator", "object", "method", "meant_mm", "meant_deg", "meant_near"),
+    *("episode", "scene", "operator", "object", "method", "shown", "meant_mm", "meant_deg", "meant_near"),
     *("position_mm", "rotation_deg", "near", "lifted"),
 )
-NEAR_M = 0.020
 NEAR_MM = 1000.0 * NEAR_M
-NEAR_RAD = np.radians(15.0)
 MEASURES: dict[str, tuple[str, Callable[[Any], bool] | None]] = {
     "correction mm, median": ("meant_mm", None),
     "within 20 mm %": ("meant_mm", lambda value: value < NEAR_MM),
@@ -61,26 +64,6 @@ MEASURES: dict[str, tuple[str, Callable[[Any], bool] | None]] = {
 """Columns of the table: the column of results.csv, and the condition of a fraction; None: a median."""
 
 
-class Miss(NamedTuple):
-    """A predicted grasp against the operator's."""
-
-    position: float  # distance [m]
-    rotation: float  # angle between the orientations, half a turn about the approach being none [rad]
-
-    @property
-    def is_near(self) -> bool:
-        """Whether both are within 20 mm and 15 degrees."""
-        return self.position < NEAR_M and self.rotation < NEAR_RAD
-
-
-def miss(T_wanted: np.ndarray, T_found: np.ndarray) -> Miss:
-    """Returns how far a grasp, shape (4, 4) [m], is from the wanted one."""
-    T = inverse(T_wanted) @ T_found
-    R = T[:3, :3]
-    rotation = min(rotation_angle(R), rotation_angle(R @ rotation_about(2, np.pi)))
-    return Miss(float(np.linalg.norm(T[:3, 3])), float(rotation))
-
-
 class Group(NamedTuple):
     """The episodes of one operator and one kind of object."""
 
@@ -90,59 +73,96 @@ class Group(NamedTuple):
     test: list[Named]
 
 
+class Predicted(NamedTuple):
+    """A method's grasp."""
+
+    method: str
+    shown: int  # grasps that taught it
+    T_camera_grasp: np.ndarray  # shape (4, 4) [m]
+    opening: float  # [m]
+
+
 def groups(named: Sequence[Named], few: int) -> list[Group]:
     """Returns the episodes by operator and object, split; groups without episodes to test on are left out."""
     found = defaultdict(list)
     for one in named:
-        found[one.episode.metadata.operator, one.episode.metadata.object].append(one)
-    split = [Group(*key, of[:few], of[few:]) for key, of in sorted(found.items())]
+        found[one.episode.metadata.object, one.episode.metadata.operator].append(one)
+    split = [Group(who, what, of[:few], of[few:]) for (what, who), of in sorted(found.items())]
     return [group for group in split if group.test]
 
 
-def grasps(frame: EpisodeFrame, of: Candidates, known: Preference) -> dict[str, np.ndarray]:
-    """Returns the grasp of each method before the camera, shape (4, 4) [m]; nothing where GGCNN's has no reading."""
-    alone = own_grasp(frame._replace(peak=of.peaks[0]))
-    if alone is None:
-        return {}
-    shifted = alone.T_camera_grasp.copy()
-    shifted[:3, 3] += of.frame.R @ known.taste.miss
-    found = {ALONE: alone.T_camera_grasp, MISS: shifted}
-    for name, one in ((REFINED, known), (FREE, known._replace(lifts=None))):
-        favourite = preference.preferences(of, one)[0]
-        where = own_grasp(frame._replace(peak=of.peaks[favourite.candidate]))
-        if where is not None:
-            found[name] = pose(preference.rotation(of, favourite), where.T_camera_grasp[:3, 3])
-    return found
+class Offers:
+    """What images offer; operators of a simulated scene have one image."""
+
+    def __init__(self, network: LiftNetwork) -> None:
+        self.network = network
+        self._kept: dict[bytes, tuple[ImageMaps, Offer]] = {}
+
+    def of(self, named: Named) -> tuple[ImageMaps, Offer] | None:
+        """Returns what the last frame of an episode offers, None if it shows nothing."""
+        most = 64  # that are kept
+        frame = named.episode.frame(len(named.episode) - 1)
+        key = frame.depth.tobytes()
+        if key not in self._kept:
+            of = lift_examples.image_maps(frame)
+            if of is None:
+                return None
+            if len(self._kept) == most:
+                self._kept.clear()
+            self._kept[key] = of, offer(self.network, of, GRIPPER.opening)
+        return self._kept[key]
 
 
-def rows(group: Group, lifts: LiftModel | None, lift: bool) -> Iterator[dict]:
-    known = train_refinement.preference(train_refinement.lessons(group.few))._replace(lifts=lifts)
-    for named in group.test:
-        lesson = train_refinement.lesson(named.episode)
-        if lesson is not None and lesson.choice.candidates.peaks:
-            yield from _rows(group, named, lesson, known, lift)
-
-
-def _rows(group: Group, named: Named, lesson: Lesson, known: Preference, lift: bool) -> Iterator[dict]:
+def predictions(
+    named: Named, of: ImageMaps, offered: Offer, network: LiftNetwork, tastes: dict[int, PoseTaste]
+) -> Iterator[Predicted]:
+    """Yields the grasp of each method where it has one; `tastes`: by how many grasps taught them."""
     frame = named.episode.frame(len(named.episode) - 1)
+    alone = own_grasp(frame)
+    if alone is not None:
+        yield Predicted(NETWORK, 0, alone.T_camera_grasp, alone.width)
+    yield Predicted(PERSON, 0, frame.T_camera_grasp, frame.opening)
+    safest = offered.safest
+    if not len(safest.probability):
+        return
+    yield Predicted(LIFTS, 0, safest.of.T[0], float(safest.of.opening[0]))
+    for shown, known in tastes.items():
+        best = preferred(network, of, offered, known, GRIPPER.opening)
+        yield Predicted(BOTH, shown, best.of.T[0], float(best.of.opening[0]))
+
+
+def rows(group: Group, offers: Offers, counts: Sequence[int], lift: bool) -> Iterator[dict]:
+    lessons = []
+    for named in group.few:
+        found = offers.of(named)
+        lessons.append(None if found is None else examples.shown(named.episode, found[1].options))
+    tastes = {n: taste.learned([one for one in lessons[:n] if one is not None]) for n in counts}
+    for named in group.test:
+        yield from _rows(group, named, offers, tastes, lift)
+
+
+def _rows(group: Group, named: Named, offers: Offers, tastes: dict[int, PoseTaste], lift: bool) -> Iterator[dict]:
+    frame = named.episode.frame(len(named.episode) - 1)
+    found = offers.of(named)
+    if found is None:
+        return
     at = simulated_operator.scene_of(Path(named.name).name)
-    scene = None if at is None else _situation(*at)
     meant = None
-    if scene is not None:
-        meant = inverse(frame.T_base_camera) @ simulated_operator.meant(scene, named.episode)
-    for method, T in grasps(frame, lesson.choice.candidates, known).items():
+    if at is not None:
+        meant = inverse(frame.T_base_camera) @ simulated_operator.meant(_situation(*at), named.episode)
+    for method, shown, T, opening in predictions(named, *found, offers.network, tastes):
         line: dict = dict.fromkeys(COLUMNS, "")
         of_scene = named.name if at is None else simulated_operator.file_name(*at)
-        line.update(episode=named.name, scene=of_scene, operator=group.operator, object=group.object, method=method)
+        line.update(episode=named.name, scene=of_scene, operator=group.operator, object=group.object)
         recorded = miss(frame.T_camera_grasp, T)
+        line.update(method=method, shown=shown, near=recorded.is_near)
         line.update(position_mm=1000.0 * recorded.position, rotation_deg=np.degrees(recorded.rotation))
-        line["near"] = recorded.is_near
         if meant is not None:
             wanted = miss(meant, T)
             line.update(meant_mm=1000.0 * wanted.position, meant_deg=np.degrees(wanted.rotation))
             line["meant_near"] = wanted.is_near
         if lift and at is not None:
-            line["lifted"] = _held(*at, (frame.T_base_camera @ T).tobytes())
+            line["lifted"] = _held(*at, (frame.T_base_camera @ T).tobytes(), opening)
         yield line
 
 
@@ -152,16 +172,20 @@ def _situation(split: str, number: int) -> simulated_operator.EpisodeScene:
 
 
 @functools.lru_cache(maxsize=None)
-def _held(split: str, number: int, T_base_grasp: bytes) -> bool:
-    return simulated_operator.held(_situation(split, number), np.frombuffer(T_base_grasp).reshape(4, 4))
+def _held(split: str, number: int, T_base_grasp: bytes, opening: float) -> bool:
+    T = np.frombuffer(T_base_grasp).reshape(4, 4)
+    return simulated_operator.held(_situation(split, number), T, opening)
 
 
 def tables(lines: Sequence[dict]) -> str:
     """Returns the results as Markdown, and the differences to GG-CNN alone; in brackets 95 % intervals over scenes."""
-    of = {name: {r["episode"]: r for r in lines if r["method"] == name} for name in METHODS}
+    of: dict[str, dict[str, dict]] = defaultdict(dict)
+    for line in lines:
+        shown = f", {line['shown']} shown" if line["method"] == BOTH else ""
+        of[line["method"] + shown][line["episode"]] = line
     both = sorted(set.intersection(*(set(found) for found in of.values())))
-    scenes = np.unique([of[ALONE][e]["scene"] for e in both], return_inverse=True)[1]
-    measures = {name: m for name, m in MEASURES.items() if all(of[ALONE][e][m[0]] != "" for e in both)}
+    scenes = np.unique([of[NETWORK][e]["scene"] for e in both], return_inverse=True)[1]
+    measures = {name: m for name, m in MEASURES.items() if all(of[NETWORK][e][m[0]] != "" for e in both)}
     values = {
         method: {
             name: np.array([found[e][key] if true is None else 100.0 * true(found[e][key]) for e in both])
@@ -178,12 +202,12 @@ def tables(lines: Sequence[dict]) -> str:
         return interval(values[method][name], None, statistic(name), draws, "")
 
     def difference(method: str, name: str) -> str:
-        return interval(values[method][name], values[ALONE][name], statistic(name), draws, "+")
+        return interval(values[method][name], values[NETWORK][name], statistic(name), draws, "+")
 
     counted = f"n = {len(both)} episodes in {len(np.unique(scenes))} scenes"
-    first = markdown_table((counted, *measures), [(m, *(cell(m, name) for name in measures)) for m in METHODS])
-    others = [m for m in METHODS if m != ALONE]
-    second = [(f"{m} - {ALONE}", *(difference(m, name) for name in measures)) for m in others]
+    first = markdown_table((counted, *measures), [(m, *(cell(m, name) for name in measures)) for m in of])
+    others = [m for m in of if m != NETWORK]
+    second = [(f"{m} - {NETWORK}", *(difference(m, name) for name in measures)) for m in others]
     return first + "\n" + markdown_table(("difference", *measures), second)
 
 
@@ -211,34 +235,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the operators' episodes")
     parser.add_argument("folder", type=Path, help="where the results go")
-    parser.add_argument("--few", type=int, default=20, help="episodes of an operator and a kind that teach")
-    parser.add_argument("--outcomes", type=Path, help="folder of episodes by anybody, for what is lifted")
+    parser.add_argument("lifts", type=Path, help="weights of the network of lifts")
+    few_help = "episodes of an operator and a kind that teach, default 20"
+    parser.add_argument("--few", type=whole(0, 1000), nargs="+", default=[20], help=few_help)
     parser.add_argument("--no-lifting", action="store_true", help="lift nothing")
     arguments = parser.parse_args()
-    if arguments.few < 0:
-        parser.error(f"--few is {arguments.few}, but must be at least 0.")
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    try:
-        found = groups(train_refinement.read_episodes(arguments.data), arguments.few)
-        if not found:
-            raise RigError(
-                f"No operator in {arguments.data} has more than {arguments.few} episodes of a kind to test on."
-            )
-        train_refinement.origin_of([n for group in found for n in group.test])
-        others = [] if arguments.outcomes is None else train_refinement.read_episodes(arguments.outcomes)
-    except (RigError, OSError) as error:
-        parser.error(str(error))
-    lifts = train_refinement.preference((), train_refinement.lessons(others)).lifts
+    most = max(arguments.few)
     lines: list[dict] = []
     try:
+        network = loaded(arguments.lifts.read_bytes())
+        found = groups(train_refinement.read_episodes(arguments.data), most)
+        if not found:
+            raise RigError(f"No operator in {arguments.data} has more than {most} episodes of a kind to test on.")
+        train_refinement.origin_of([n for group in found for n in group.test])
         with open_results(arguments.folder, COLUMNS) as writer:
+            offers = Offers(network)
             for group in tqdm(found, unit="group"):
-                for line in rows(group, lifts, not arguments.no_lifting):
+                for line in rows(group, offers, sorted(set(arguments.few)), not arguments.no_lifting):
                     writer.writerow(line)
                     lines.append(line)
-    except RigError as error:
+    except (RigError, OSError) as error:
         parser.error(str(error))
     text = tables(lines)
     (arguments.folder / "table.md").write_text(text, encoding="utf-8")

@@ -1,9 +1,10 @@
 """Learns from episodes of an operator's grasps which ones the operator prefers, and what is lifted; takes seconds.
 
 The folder of the run gets weights.pt, for `refinement_weights` in ggcnn.yaml, and settings.json, which says what was
-learned. Each kind of object is learned from its own episodes; the file holds all kinds. What is lifted is learned from
-the outcomes of all grasps that were at a candidate, of these episodes and of those in --outcomes; if they are too few,
-nothing is known of lifts and nothing constrains the operator's taste.
+learned. Each kind of object is learned from its own episodes; the file holds all kinds. With --lifts it is a taste of
+full poses, among what that network says is lifted; the node does not take such a file yet. Without, what is lifted is
+learned from the outcomes of all grasps that were at a candidate, of these episodes and of those in --outcomes; if they
+are too few, nothing is known of lifts and nothing constrains the operator's taste.
 """
 
 from __future__ import annotations
@@ -22,8 +23,16 @@ from tqdm import tqdm
 from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.dataset.episode import Episode
+from grasping.lab.synthetic.samples import GRIPPER
+from grasping.lab.training import lift_examples
 from grasping.lab.training import refinement_examples as examples
 from grasping.network.depth_image import VIEWS
+from grasping.network.weights import checked_sha256
+from grasping.poses import taste as poses_taste
+from grasping.poses import taste_file
+from grasping.poses.lift_network import LiftNetwork, loaded
+from grasping.poses.taste import options
+from grasping.poses.taste_file import TasteFile
 from grasping.refinement import taste
 from grasping.refinement.candidates import TASTES
 from grasping.refinement.preference import Preference
@@ -110,6 +119,21 @@ def lessons(named: Iterable[Named]) -> list[Lesson]:
     return [one for one in found if one is not None]
 
 
+def tastes_by_kind(kinds: Mapping[str, Iterable[Named]], network: LiftNetwork) -> dict[str, poses_taste.PoseTaste]:
+    """Returns of each kind the taste that its episodes teach. Raises RigError if there is no such episode."""
+    found = {}
+    for name, named in kinds.items():
+        shown = []
+        for one in named:
+            of = lift_examples.image_maps(one.episode.frame(len(one.episode) - 1))
+            grasp = None if of is None else examples.shown(one.episode, options(network, of, GRIPPER.opening))
+            shown += [] if grasp is None else [grasp]
+        if not shown:
+            raise RigError(f"In none of the episodes of {name} the camera sees the operator's grasp.")
+        found[name] = poses_taste.learned(shown)
+    return found
+
+
 def preference(of: Iterable[Lesson], outcomes: Iterable[Lesson] = ()) -> Preference:
     """Returns the operator's preference; `outcomes`: of others."""
     own = list(of)
@@ -137,6 +161,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("data", type=Path, help="folder of the operator's episodes")
     parser.add_argument("run", type=Path, help="where the results go")
     parser.add_argument("--outcomes", type=Path, help="folder of episodes by anybody, for what is lifted")
+    parser.add_argument("--lifts", type=Path, help="weights of the network of lifts: learn a taste of full poses")
     parser.add_argument("--only", action="append", default=[], metavar="OBJECT", help="learn these kinds alone")
     parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="learn from none of these")
     pooled_help = "learn from all kinds together, for a node that is not told the kind"
@@ -153,8 +178,13 @@ def parse() -> argparse.Namespace:
         missing = [name for name, of in kinds.items() if not of]
         if missing:
             raise RigError(f"{arguments.data} holds no episode of {missing[0]}: collect some, or leave it out.")
-        arguments.learned = learned_by_kind(kinds, arguments.others)
         arguments.run.mkdir(parents=True, exist_ok=True)
+        if arguments.lifts is not None:
+            data = arguments.lifts.read_bytes()
+            tastes = tastes_by_kind(kinds, loaded(data))
+            arguments.tastes = TasteFile(tastes, arguments.origin, checked_sha256(data, None))
+        else:
+            arguments.learned = learned_by_kind(kinds, arguments.others)
     except (RigError, OSError) as error:
         parser.error(str(error))
     return arguments
@@ -178,6 +208,9 @@ def summary(known: Preference, count: int) -> dict[str, object]:
 
 def main() -> None:
     arguments = parse()
+    if arguments.lifts is not None:
+        torch.save(taste_file.content(arguments.tastes), arguments.run / "weights.pt")
+        return
     kinds = {name: known for name, (known, _) in arguments.learned.items()}
     torch.save(content(kinds, arguments.origin), arguments.run / "weights.pt")
     said = {name: summary(*of) for name, of in arguments.learned.items()}

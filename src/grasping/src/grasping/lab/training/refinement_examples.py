@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasping.lab.dataset.episode import EpisodeFrame
+from grasping.lab.dataset.episode import Episode, EpisodeFrame
 from grasping.lab.dataset.labels import tilt_and_angle
 from grasping.lab.training.lift_examples import image_maps
+from grasping.poses.taste import Options, Shown
 from grasping.refinement import lifts, taste
 from grasping.refinement.candidates import Candidates, candidates
 from grasping.refinement.lifts import LiftModel
@@ -42,6 +43,12 @@ def choice(frame: EpisodeFrame, of: Candidates) -> Choice | None:
     except ValueError:
         return None
     return Choice(of, of.frame.R.T @ T[:3, 3], angle, tilt, frame.opening)
+
+
+def shown(episode: Episode, given: Options) -> Shown | None:
+    """Returns the operator's grasp among the options of an episode's last frame; None as `choice`."""
+    found = choice(episode.frame(len(episode) - 1), given.of)
+    return None if found is None else Shown(given, *found[1:])
 
 
 def outcome(of: Choice, held: bool) -> Outcome | None:

@@ -1,0 +1,181 @@
+"""An operator's taste in full poses: what is learned of few grasps, and what it must never cost."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from test_poses import DOWN, OPEN_M, bar_image
+
+from common.poses import pose
+from grasping.lab.evaluation.grasp_distance import miss
+from grasping.network.weights import WeightsError
+from grasping.poses import taste, taste_file
+from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
+from grasping.poses.hypotheses import level_rotation, rotations
+from grasping.poses.lift_network import LiftNetwork
+from grasping.poses.preferred import MOST_LOST, SAFE, offer, preferred
+from grasping.poses.taste import PoseTaste, Shown, learned, nobody, options
+from grasping.poses.taste_file import TasteFile, content, load
+from grasping.refinement.refinement_file import Origin
+
+TURNS = np.linspace(-1.2, 1.2, 8)
+"""Of the bars that teach."""
+
+
+def network(sure: bool) -> LiftNetwork:
+    """A network to which all lifts are sure, or any."""
+    torch.manual_seed(2)
+    made = LiftNetwork().eval()
+    with torch.no_grad():
+        made.layers[-1].weight.mul_(0.0 if sure else 25.0)
+        made.layers[-1].bias.fill_(6.0 if sure else 0.0)
+    return made
+
+
+SURE = network(True)
+
+
+def grasps(network: LiftNetwork, of: ImageMaps, known: PoseTaste) -> ScoredPoses:
+    return preferred(network, of, offer(network, of, OPEN_M), known, OPEN_M)
+
+
+def meant(turned: float, tilt=(0.3, -0.1), along: float = 0.03) -> tuple[np.ndarray, float]:
+    """Returns the grasp of who takes a bar at the end below in the image, across it, and tilts; and its line."""
+    end = np.array([np.sin(turned), np.cos(turned)])  # rows run down
+    end = end if end[1] > 0.0 else -end
+    zero = np.zeros(1)
+    R = rotations(np.array([[*tilt, 0.0]])) @ level_rotation(np.array([-turned]), zero, zero)
+    return pose(R[0], (*(along * end), 0.66)), turned
+
+
+def shown(turned: float, rng=None, bias=(0.0, 0.0, 0.0), **how) -> Shown:
+    T, line = meant(turned, **how)
+    noise = rng.normal(0.0, 1.0, 6) if rng is not None else np.zeros(6)
+    place = T[:3, 3] + bias + 0.004 * noise[:3]
+    tilt = np.array(how.get("tilt", (0.3, -0.1))) + 0.06 * noise[3:5]
+    return Shown(options(SURE, bar_image(turned=turned), OPEN_M), place, line + 0.06 * noise[5], tilt, 0.05)
+
+
+@pytest.fixture(scope="module", name="lessons")
+def lessons_fixture():
+    rng = np.random.default_rng(1)
+    return [shown(turned, rng, bias=(0.006, -0.004, 0.0)) for turned in TURNS]
+
+
+def test_without_episodes_the_safest_grasps_are_the_chosen_ones():
+    of = bar_image(turned=0.3)
+    for one, other in zip(grasps(network(False), of, nobody()), choose(network(False), of, OPEN_M)):
+        for a, b in zip(one, other) if isinstance(one, tuple) else ((one, other),):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("turned", [-0.7, 0.1, 0.9])
+def test_place_line_and_tilt_are_learned_and_the_constant_miss_is_not(lessons, turned):
+    known = learned(lessons)
+    wanted, _ = meant(turned)
+    best = grasps(SURE, bar_image(turned=turned), known)
+    off = miss(wanted, best.of.T[0])
+    assert off.position < 0.015 and off.rotation < np.radians(12.0)
+    before = miss(wanted, choose(SURE, bar_image(turned=turned), OPEN_M).of.T[0])
+    assert not before.is_near
+    np.testing.assert_allclose(known.miss, (0.006, -0.004), atol=0.004)
+
+
+def test_swapped_fingers_are_the_same_grasp(lessons):
+    one, other = learned(lessons), learned([s._replace(angle=s.angle + np.pi) for s in lessons])
+    np.testing.assert_allclose(one.weights, other.weights, atol=1e-6)
+    np.testing.assert_allclose(np.concatenate(one.style), np.concatenate(other.style), atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_taste_costs_more_than_a_point_of_lifts(seed):
+    """Whatever was learned, what may be taken lifts with `SAFE`, or as the safest but for `MOST_LOST`."""
+    rng = np.random.default_rng(seed)
+    of, judge = bar_image(turned=0.5), network(False)
+    style = nobody().style._replace(tilt_x=rng.normal(0.0, 0.4, 3), deep=rng.normal(0.0, 0.02, 2))
+    wild = nobody()._replace(weights=rng.normal(0.0, 20.0, len(nobody().weights)), style=style)
+    found = grasps(judge, of, wild)
+    assert found.probability[0] >= min(SAFE, choose(judge, of, OPEN_M).probability[0] - MOST_LOST)
+
+
+def test_one_grasp_all_alike_or_contradictory_ones_leave_a_taste_that_is_finite_and_mild(lessons):
+    ends = [shown(turned, along=along) for turned in TURNS[::2] for along in (0.03, -0.03)]
+    for of in (lessons[:1], lessons[:1] * 20, ends):
+        known = learned(of)
+        assert all(np.isfinite(value).all() for value in (*known.style, *known[:2], known.spreads))
+        assert np.abs(known.weights).max() < 6.0 and (known.spreads > 0.0).all()
+    both = learned(ends)
+    given = options(SURE, bar_image(turned=0.2), OPEN_M)
+    share = taste.softmax(taste.worths(both.weights, given))
+    assert 0.3 < share[given.of.points[:, 1] > 0.0].sum() < 0.7, "neither end is preferred"
+
+
+def test_a_grasp_that_is_none_of_the_options_teaches_nothing(lessons):
+    far = [one._replace(place=one.place + 0.3) for one in lessons]
+    np.testing.assert_allclose(learned(far).weights, 0.0, atol=0.05)
+
+
+def test_a_bare_table_has_no_options(lessons):
+    bare = bar_image(height=0.0)
+    assert len(options(SURE, bare, OPEN_M).base) == 0
+    assert len(grasps(SURE, bare, learned(lessons)).probability) == 0
+
+
+def test_a_wanted_grasp_comes_down_at_its_option():
+    """Straight down, the fingers' line as the option's, the tips where the surface is seen."""
+    of = bar_image(turned=0.4)
+    given = options(SURE, of, OPEN_M).of
+    n = len(given.angles)
+    found = taste.poses(given, np.zeros((n, 2)), np.zeros(n), np.full(n, 0.01), given.openings, of)
+    np.testing.assert_allclose(found.T[:, :3, 2], np.tile(DOWN, (n, 1)), atol=2e-3)
+    line = np.arctan2(-found.T[:, 1, 0], found.T[:, 0, 0])
+    np.testing.assert_allclose(np.cos(2.0 * (line - given.angles)), 1.0, atol=1e-4)
+    np.testing.assert_allclose(
+        found.T[:, :3, 3], given.points @ given.frame.R.T + 0.01 * given.frame.R[:, 2], atol=1e-9
+    )
+
+
+RIG = Origin(view="camera", crop={"side": 400, "rows_up": 0}, network="ab" * 32)
+
+
+def file(state) -> bytes:
+    stream = io.BytesIO()
+    torch.save(state, stream)
+    return stream.getvalue()
+
+
+def saved(lessons) -> TasteFile:
+    return TasteFile({"cup": learned(lessons[:3]), "bottle": nobody()}, RIG, "cd" * 32)
+
+
+def test_tastes_come_back_as_they_were_saved(lessons):
+    known = saved(lessons)
+    found = load(file(content(known)))
+    assert (list(found.kinds), found.origin, found.lifts) == (["cup", "bottle"], RIG, "cd" * 32)
+    for one, other in zip(known.kinds.values(), found.kinds.values()):
+        np.testing.assert_allclose(one.weights, other.weights, rtol=1e-6)
+        np.testing.assert_allclose(np.concatenate(one.style), np.concatenate(other.style), rtol=1e-6)
+        np.testing.assert_allclose(one.spreads, other.spreads, rtol=1e-6)
+    assert found.origin.mismatch(replace(RIG, network="ef" * 32)).startswith("learned with network")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("0/weights", torch.full((len(nobody().weights),), torch.nan), "not finite"),
+        ("1/spreads", torch.zeros(4), "not positive"),
+        ("0/miss", torch.zeros(3), "the shape"),
+        ("2/miss", torch.zeros(2), "lacks or adds"),
+        ("about", torch.zeros(3), "no tastes of version"),
+    ],
+)
+def test_another_content_is_refused(lessons, key, value, said):
+    state = content(saved(lessons))
+    state[key] = value
+    with pytest.raises(WeightsError, match=said):
+        load(file(state))
+    assert taste_file.VERSION > 4, "the old refinement's"
