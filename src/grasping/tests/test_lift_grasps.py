@@ -98,7 +98,23 @@ def test_a_grasp_is_seen_where_it_is_and_keeps_its_number():
         np.testing.assert_allclose(CAMERA.project(grasp.T_camera_grasp[:3, 3]), grasp.pixel, atol=1e-6)
         np.testing.assert_allclose(ABOVE @ grasp.T_camera_grasp, grasp.T_base_grasp, atol=1e-9)
     second = of.step(depth_picture(ABOVE, BOXES), CAMERA, ABOVE, 5 * DT).grasps
-    assert [grasp.id for grasp in first] == [grasp.id for grasp in second]
+    assert {grasp.id for grasp in first} == {grasp.id for grasp in second}
+    np.testing.assert_allclose(first[0].T_base_grasp, second[0].T_base_grasp, atol=1e-6)
+
+
+def test_in_a_noisy_image_the_best_stays_where_it_is_and_a_removed_thing_is_left():
+    of, rng, depth = chain(LOW, Likes(0.4)), np.random.default_rng(3), depth_picture(ABOVE, BOXES)
+    seen = [
+        of.step(depth + rng.normal(0.0, 1e-3, depth.shape).astype(np.float32), CAMERA, ABOVE, DT * i).grasps[0]
+        for i in range(8)
+    ]
+    T = np.array([one.T_base_grasp for one in seen])
+    assert len({one.id for one in seen}) == 1
+    assert np.linalg.norm(T[:, :3, 3] - T[0, :3, 3], axis=1).max() < 2e-3
+    assert turned(T[:, :3, :3], T[0, :3, :3]).max() < 0.02
+    left = of.step(depth_picture(ABOVE, BOXES[1:]), CAMERA, ABOVE, 1.0)
+    away = [one.grasp.T_camera_grasp for one in left.candidates]
+    assert away and all(np.hypot(*((ABOVE @ left.view.T_camera_view @ T)[:2, 3] - BOX[:2])) > 0.05 for T in away)
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,12 @@ from common.poses import read_only
 from grasping.network.maps import Peak
 from grasping.pipeline.projection import CameraGrasp, seen_by, turned
 from grasping.poses.chooser import ImageMaps, choose
-from grasping.poses.hypotheses import pixels_of
-from grasping.poses.lift_network import LiftNetwork
+from grasping.poses.hand_view import features
+from grasping.poses.hypotheses import Hypotheses, pixels_of, said_of
+from grasping.poses.lift_network import LiftNetwork, lift_logits
 
 ALIKE_RAD = 0.5  # grasps near each other and turned by less are one
+STAYS = 0.05  # probability by which a new grasp must lead one like it of the image before
 
 
 class LiftGrasp(NamedTuple):
@@ -27,6 +29,7 @@ class LiftGrasp(NamedTuple):
 def lift_grasps(
     network: LiftNetwork,
     of: ImageMaps,
+    before: tuple[np.ndarray, np.ndarray],
     count: int,
     distance: int,
     threshold: float | None,
@@ -34,9 +37,17 @@ def lift_grasps(
     max_tilt: float,
 ) -> list[LiftGrasp]:
     """Returns at most `count` grasps above a probability, best first; None as `threshold`: the best alone. Those within
-    `distance` rows and columns differ in direction. `widest`: opening of the hand [m]; `max_tilt` [rad]."""
-    scored = choose(network, of, widest, max_tilt)
+    `distance` rows and columns differ in direction. `before`: poses, shape (k, 4, 4) [m], and openings, shape (k,) [m],
+    of those in the image before, which stay while they are good; `widest`: opening of the hand [m]; `max_tilt` [rad].
+    """
+    scored, frame = choose(network, of, widest, max_tilt), of.frame()
     T, opening, probability = scored.of.T, scored.of.opening, scored.probability
+    if len(before[0]):
+        again = Hypotheses(*before, said_of(*before, of.maps, of.certainty, of.image, of.camera, frame))
+        kept = 1.0 / (1.0 + np.exp(-lift_logits(network, features(again, of.image, of.camera, frame))))
+        order = np.argsort(-np.concatenate([kept + STAYS, probability]), kind="stable")
+        pairs = (again.T, T), (again.opening, opening), (kept, probability)
+        T, opening, probability = (np.concatenate(pair)[order] for pair in pairs)
     rows, columns, _ = pixels_of(T[:, :3, 3], of.image, of.camera)
     left = probability > (-1.0 if threshold is None else threshold)
     found: list[LiftGrasp] = []
@@ -49,4 +60,4 @@ def lift_grasps(
         found.append(LiftGrasp(peak, grasp))
         near = np.maximum(np.abs(rows - rows[i]), np.abs(columns - columns[i])) <= distance
         left &= ~(near & (turned(T[:, :3, :3], T[i, :3, :3]) < ALIKE_RAD))
-    return found
+    return sorted(found, key=lambda one: -one.peak.quality)

@@ -40,6 +40,7 @@ from grasping.poses.hypotheses import MAX_TILT_RAD
 from grasping.poses.lift_network import LiftNetwork
 from grasping.refinement.preference import Preference
 
+NONE_CHOSEN = np.zeros((0, 4, 4)), np.zeros(0)
 OUT_OF_SIGHT = "the best grasp is briefly out of sight"
 
 
@@ -125,10 +126,10 @@ class GraspPipeline:
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
         self._in_base: bool | None = None
-        self._last = -np.inf
+        self._last, self._chosen = -np.inf, NONE_CHOSEN
 
     def reset(self) -> None:
-        self._last = -np.inf
+        self._last, self._chosen = -np.inf, NONE_CHOSEN
         for step in (self._views, self._average, self._tracker):
             if step is not None:
                 step.reset()
@@ -151,7 +152,7 @@ class GraspPipeline:
             self.reset()
         self._last = now
         if (T_base_camera is not None) != self._in_base:
-            self._in_base = T_base_camera is not None
+            self._in_base, self._chosen = T_base_camera is not None, NONE_CHOSEN
             if self._tracker is not None:
                 self._tracker.reset()
         try:
@@ -166,11 +167,11 @@ class GraspPipeline:
             return PipelineResult(view, None, (), (), "the network's maps are not finite", stages.seconds)
         if self._average is not None:
             output, _ = self._average.step(output, view.image.depth)
-        maps, found = self._peaks(output, view)
+        T_track_camera = np.eye(4) if T_base_camera is None else T_base_camera
+        maps, found = self._peaks(output, view, T_track_camera @ view.T_camera_view)
         stages.end("peaks")
         candidates = tuple(self._candidates(found, view, T_base_camera))
         accepted = [c for c in candidates if not c.rejection]
-        T_track_camera = np.eye(4) if T_base_camera is None else T_base_camera
         seen = [(c.grasp, c.peak.quality) for c in accepted if c.grasp is not None]
         T_view = view.T_camera_view
         detections = [GraspDetection(T_track_camera @ (T_view @ g.T_camera_grasp), g.width, q) for g, q in seen]
@@ -183,7 +184,7 @@ class GraspPipeline:
             return self._tracker.step(detections, now)
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
-    def _peaks(self, output: np.ndarray, view: GraspView) -> tuple[Maps, Sequence[_Found]]:
+    def _peaks(self, output: np.ndarray, view: GraspView, T_track_view: np.ndarray) -> tuple[Maps, Sequence[_Found]]:
         """Returns the smoothed maps and their peaks, with a refinement those that the operator prefers, with a network
         of lifts the grasps that lift most probably."""
         s = self._settings
@@ -191,7 +192,11 @@ class GraspPipeline:
         if self._lifts is not None:
             maps = smoothed(output, view.image.valid, refined_grasp.SMOOTHING)
             of = ImageMaps(view.image, view.camera, maps, certainty)
-            return maps, lift_grasps(self._lifts, of, s.count, s.distance, s.threshold, widest, s.max_tilt)
+            before = inverse(T_track_view) @ self._chosen[0], self._chosen[1]
+            chosen = lift_grasps(self._lifts, of, before, s.count, s.distance, s.threshold, widest, s.max_tilt)
+            T = np.array([one.grasp.T_camera_grasp for one in chosen]).reshape(-1, 4, 4)
+            self._chosen = T_track_view @ T, np.array([one.grasp.width for one in chosen])
+            return maps, chosen
         if self._refinement is None:
             found = maps_of(output, view, s)
             return found, [highest(found)] if s.threshold is None else peaks(found, s.count, s.distance, s.threshold)
