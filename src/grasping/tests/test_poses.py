@@ -13,9 +13,12 @@ import torch
 from common.camera_model import CameraModel, pinhole
 from common.errors import RigError
 from common.rotations import rotation_about
+from grasping.lab.evaluation import antipodal
+from grasping.lab.evaluation.antipodal import antipodal_grasp
 from grasping.lab.programs import evaluate_poses, make_attempts, train_lifts
 from grasping.lab.programs.train_lifts import LiftData, calibrate, train
 from grasping.lab.synthetic.pose_labels import REASONS
+from grasping.lab.synthetic.samples import GRIPPER
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import PARALLEL, REFLEX, Maps
 from grasping.poses import hand_view, hypotheses
@@ -254,7 +257,7 @@ def test_overconfident_logits_are_calibrated():
     with torch.no_grad():
         network.layers[-1].weight.mul_(40.0)
         honest = torch.sigmoid(network(features) / 2.0)
-    calibrate(network, features, torch.bernoulli(honest))
+    calibrate(network, LiftData(features.numpy(), torch.bernoulli(honest).numpy(), REFLEX, "ab" * 32))
     assert float(network.temperature) == pytest.approx(2.0, abs=0.2)
 
 
@@ -282,7 +285,7 @@ def test_tips_that_would_be_in_the_table_are_looked_for_above_it():
 def shard(tmp_path_factory):
     """One scene's attempts, as the program writes them."""
     path = tmp_path_factory.mktemp("attempts") / "train_8_000000.npz"
-    make_attempts.make_shard(make_attempts.AttemptTask(path, "train", range(1, 2), WEIGHTS, 8))
+    make_attempts.make_shard(make_attempts.AttemptTask(path, "train", range(1, 2), WEIGHTS, 8, None))
     return path
 
 
@@ -305,15 +308,58 @@ def test_shards_of_several_hands_are_not_mixed(shard, tmp_path):
         train_lifts.read([shard, other])
 
 
+def test_a_network_of_lifts_says_what_is_tried_and_training_takes_it_as_well(shard, tmp_path):
+    """A network that believes in narrow openings alone."""
+    network = LiftNetwork(PARALLEL, "ab" * 32).eval()
+    with torch.no_grad():
+        for value in network.parameters():
+            value.zero_()
+        for layer, column in ((0, hand_view.FEATURES - 4), (2, 0), (4, 0)):
+            network.layers[layer].weight[0, column] = -1.0 if layer == 4 else 1.0
+        network.layers[0].bias[0] = 2.0
+    file = tmp_path / "lifts.pt"
+    torch.save(saved(network), file)
+    path = tmp_path / f"train_8_{make_attempts.BELIEVED}_000000.npz"
+    make_attempts.make_shard(make_attempts.AttemptTask(path, "train", range(1, 2), WEIGHTS, 8, file))
+    with np.load(path) as believed, np.load(shard) as drawn:
+        np.testing.assert_array_equal(believed["depth"], drawn["depth"])
+        assert 1 < len(believed["T"]) <= 8
+        assert believed["opening"].max() < drawn["opening"].max()
+        assert believed["opening"].max() <= np.median(drawn["opening"])
+    assert len(train_lifts.read([shard, path]).lifted) > 8
+
+
+@pytest.mark.parametrize("turned, tilt", [(0.0, 0.0), (0.6, 0.1)])
+def test_opposed_surfaces_of_a_bar_are_its_long_sides(turned, tilt):
+    of = bar_image(turned=turned, tilt=tilt)
+    found = antipodal_grasp(of, GRIPPER, MAX_TILT_RAD, np.random.default_rng(1))
+    assert found is not None
+    T, opening, score = found
+    across = np.array([np.cos(turned), -np.sin(turned), 0.0])
+    assert abs(T[:3, 0] @ across) > np.cos(0.5 * np.pi / antipodal.TURNS + 0.1)
+    assert 0.03 + 2.0 * GRIPPER.clearance - 0.004 < opening < 0.03 / np.cos(0.3) + 2.0 * GRIPPER.clearance + 0.004
+    assert score >= 5
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+    tips = T[:3, 3] + GRIPPER.reach * T[:3, 2]
+    high = of.frame().distance - tips @ of.frame().R[:, 2]
+    assert -0.01 < high < 0.04, "between the table and the top"
+
+
+def test_a_bar_wider_than_the_hand_and_a_bare_table_have_no_opposed_surfaces_within_reach():
+    of, narrow = bar_image(), GRIPPER._replace(opening=0.025)
+    assert antipodal_grasp(of, narrow, MAX_TILT_RAD, np.random.default_rng(1)) is None
+    assert antipodal_grasp(bar_image(height=0.0), GRIPPER, MAX_TILT_RAD, np.random.default_rng(1)) is None
+
+
 def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_path):
     file = tmp_path / "lifts.pt"
     torch.manual_seed(0)
     torch.save(saved(LiftNetwork()), file)
     rows = evaluate_poses.try_scene(evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {"mine": file}))
-    methods = [evaluate_poses.ALONE, evaluate_poses.ABOVE, "mine, from above", "mine, tilted"]
+    methods = [*evaluate_poses.ALL, "mine, from above", "mine, tilted"]
     assert [row["method"] for row in rows] == methods
     assert all(set(row) == set(evaluate_poses.COLUMNS) for row in rows)
-    assert rows[1]["tilt"] < 0.05 and rows[2]["tilt"] < 0.05, "of the table's plane, which is found in noise"
+    assert rows[1]["tilt"] < 0.05 and rows[3]["tilt"] < 0.05, "of the table's plane, which is found in noise"
     text = evaluate_poses.report(tmp_path, rows, methods)
     assert all(f"| {method} |" in text for method in methods)
     assert (tmp_path / "reliability.png").stat().st_size > 1000

@@ -11,7 +11,7 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from grasping.network.depth_image import NetworkImage
-from grasping.poses.hypotheses import Hypotheses, pixels_of
+from grasping.poses.hypotheses import Hypotheses, pixel_matrix
 from grasping.refinement.candidates import LevelFrame
 
 BETWEEN = (-0.95, -0.65, -0.3, 0.0, 0.3, 0.65, 0.95)  # across, as fractions of half the opening
@@ -35,20 +35,15 @@ def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: Le
     n, half = len(of.T), 0.5 * of.opening[:, None]
     across = np.concatenate([-half - BESIDE_M[::-1], half * BETWEEN, half + BESIDE_M], axis=1)  # shape (n, 13)
     y, z = np.array(ALONG_M), REACH_M + np.array(DOWN_M)
-    grid = np.empty((n, across.shape[1], len(y), len(z), 3), np.float32)
-    grid[..., 0], grid[..., 1], grid[..., 2] = across[:, :, None, None], y[:, None], z
     R, down = of.T[:, :3, :3].astype(np.float32), frame.R[:, 2].astype(np.float32)
     tips = of.T[:, :3, 3].astype(np.float32) + REACH_M * R[:, :, 2]
     low = np.clip(GROUND_M - (frame.distance - tips @ down), 0.0, 2.0 * REACH_M)
     tips = tips - (low / np.maximum(R[:, :, 2] @ down, 0.3))[:, None] * R[:, :, 2]
     origin = tips - REACH_M * R[:, :, 2]
-    local = _behind(grid.reshape(n, -1, 3), R, origin, image, camera) / NEAR_M
-    a = np.array(AROUND_M)
-    far = np.empty((n, len(a), len(a), 3), np.float32)
-    far[..., 0], far[..., 1], far[..., 2] = a[:, None], a, 0.0
+    local = _behind((across, y[None], z[None]), R, origin, image, camera) / NEAR_M
+    around = np.array(AROUND_M)[None]
     # In the plane across the vertical, turned with the line through the fingers.
-    level = _level_of(R, frame)
-    wide = _behind(far.reshape(n, -1, 3), level, origin, image, camera) / FAR_M
+    wide = _behind((around, around), _level_of(R, frame), origin, image, camera) / FAR_M
     scalars = np.concatenate(
         [
             of.seen,
@@ -90,10 +85,20 @@ def _level_of(R: np.ndarray, frame: LevelFrame) -> np.ndarray:
 
 
 def _behind(
-    points: np.ndarray, R: np.ndarray, origin: np.ndarray, image: NetworkImage, camera: CameraModel
+    steps: tuple[np.ndarray, ...], R: np.ndarray, origin: np.ndarray, image: NetworkImage, camera: CameraModel
 ) -> np.ndarray:
-    """Returns how far points of the hands' frames, shape (n, m, 3), lie behind the surface seen there, (n, m) [m]."""
-    there = np.matmul(points, R.transpose(0, 2, 1)) + origin[:, None]
-    rows, columns, _ = pixels_of(there, image, camera)
-    behind: np.ndarray = there[..., 2] - image.depth[rows, columns]
+    """Returns how far the points of grids lie behind the surface seen there, shape (n, m) [m]; `steps`: along the first
+    axes of each of the frames `R`, shape (n or 1, m_i) [m]."""
+    side = len(image.depth)
+    to_pixels = pixel_matrix(image, camera).astype(np.float32)
+    axes = to_pixels @ R
+    # Column and row of the image, both times the depth, and the depth: linear in the steps, so no point is computed.
+    seen = (origin.astype(np.float32) @ to_pixels.T)[:, :, None]
+    for axis, step in enumerate(steps):
+        moved = axes[:, :, axis, None] * step[:, None].astype(np.float32)
+        seen = (seen[..., None] + moved[:, :, None]).reshape(len(R), 3, -1)
+    depth = seen[:, 2]
+    nearer = 1.0 / np.maximum(depth, np.float32(1e-3))
+    column, row = (np.clip((seen[:, i] * nearer).astype(np.int32), 0, side - 1) for i in range(2))
+    behind: np.ndarray = depth - image.depth.ravel()[side * row + column]
     return behind

@@ -91,18 +91,16 @@ def hypotheses(
 def places(maps: Maps, image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
     """Returns the pixels (row, column) where grasps are tried, shape (n, 2): the best ones of GGCNN's quality first,
     then those highest above the table."""
-    rays = image_rays(image, camera)
-    height = frame.distance - (image.depth[..., None] * rays) @ frame.R[:, 2]
+    height = frame.distance - image.depth * (image_rays(image, camera) @ frame.R[:, 2])
     inner = np.zeros(maps.quality.shape, bool)
     inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
-    order_by = np.where(
-        inner & image.valid & (height > OBJECT_M), maps.quality + 1e-3 * np.clip(height, 0.0, 0.5), -1.0
-    )
-    free = np.ones(order_by.shape, bool)
+    rows, columns = np.nonzero(inner & image.valid & (height > OBJECT_M))
+    order_by = maps.quality[rows, columns] + 1e-3 * np.clip(height[rows, columns], 0.0, 0.5)
+    order = np.argsort(-order_by, kind="stable")
+    free = np.ones(maps.quality.shape, bool)
     found: list[tuple[int, int]] = []
-    for at in np.argsort(-order_by, axis=None, kind="stable"):
-        row, column = divmod(int(at), order_by.shape[1])
-        if order_by[row, column] < 0.0 or len(found) == PLACES:
+    for row, column in zip(rows[order].tolist(), columns[order].tolist()):
+        if len(found) == PLACES:
             break
         if free[row, column]:
             found.append((row, column))
@@ -150,13 +148,21 @@ def pixels_of(
     """Returns rows and columns of the network's image where points in the camera's frame, shape (..., 3), are seen, the
     nearest one for those outside, and the size of a pixel there [m]."""
     side = len(image.depth)
-    scale = image.crop.side / side
-    z = np.maximum(points[..., 2], 1e-3)
-    u = camera.K[0, 0] * points[..., 0] / z + camera.K[0, 2]
-    v = camera.K[1, 1] * points[..., 1] / z + camera.K[1, 2]
-    column = np.clip(((u - image.crop.column + 0.5) / scale).astype(np.int32), 0, side - 1)
-    row = np.clip(((v - image.crop.row + 0.5) / scale).astype(np.int32), 0, side - 1)
-    return row, column, z * scale / camera.K[0, 0]
+    seen = points @ pixel_matrix(image, camera).T
+    z = np.maximum(seen[..., 2], 1e-3)
+    column, row = (np.clip((seen[..., i] / z).astype(np.int32), 0, side - 1) for i in range(2))
+    return row, column, z * image.crop.side / side / camera.K[0, 0]
+
+
+def pixel_matrix(image: NetworkImage, camera: CameraModel) -> np.ndarray:
+    """Returns what makes a point in the camera's frame its column and row in the network's image, both times its depth,
+    and its depth, shape (3, 3); the fraction of a pixel counts from its edge."""
+    scale = len(image.depth) / image.crop.side
+    shift = np.array([image.crop.column - 0.5, image.crop.row - 0.5])
+    K = np.array(camera.K, dtype=float)
+    K[:2, 2] -= shift
+    K[:2] *= scale
+    return K
 
 
 def varied(

@@ -8,14 +8,16 @@ its bulk (the thickest place of its outline) and its lighter end.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from common.camera_model import CameraModel
+from common.poses import read_only
 from common.rotations import cross, unit
-from grasping.network.depth_image import EVERY, NOISE, NetworkImage, best_plane
+from grasping.network.depth_image import EVERY, NOISE, Crop, NetworkImage, best_plane
 from grasping.network.maps import Maps, Peak, gaussian, peaks
 
 OTHER_LINES = (0.25 * np.pi, 0.5 * np.pi, -0.25 * np.pi)  # turned from that line [rad]
@@ -151,12 +153,17 @@ def level_frame(image: NetworkImage, rays: np.ndarray) -> LevelFrame:
 
 
 def image_rays(image: NetworkImage, camera: CameraModel) -> np.ndarray:
-    """Returns the rays x, y, 1 of the network's image's pixels before an undistorted camera, shape (h, w, 3)."""
+    """Returns the rays x, y, 1 of the network's image's pixels before an undistorted camera, shape (h, w, 3), not to be
+    written."""
+    return _rays(len(image.depth), image.crop, *camera.K[:2].ravel().tolist())
+
+
+@lru_cache(maxsize=4)
+def _rays(side: int, crop: Crop, fx: float, _: float, cx: float, __: float, fy: float, cy: float) -> np.ndarray:
     # Pixels are squares: their centres, not their corners, lie on each other's grid.
-    centres = (np.arange(len(image.depth)) + 0.5) * image.crop.side / len(image.depth) - 0.5
-    u, v = image.crop.column + centres, image.crop.row + centres
-    x, y = np.meshgrid((u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1])
-    return np.stack([x, y, np.ones_like(x)], axis=-1)
+    centres = (np.arange(side) + 0.5) * crop.side / side - 0.5
+    x, y = np.meshgrid((crop.column + centres - cx) / fx, (crop.row + centres - cy) / fy)
+    return read_only(np.stack([x, y, np.ones_like(x)], axis=-1))
 
 
 class _Object(NamedTuple):

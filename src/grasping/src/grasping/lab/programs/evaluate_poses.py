@@ -9,7 +9,6 @@ import json
 import multiprocessing
 import sys
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,8 +23,10 @@ from common.errors import RigError
 from common.lift_trial import NO_GRASP
 from common.poses import pose
 from grasping.lab.evaluation import sheets, tables, trials
+from grasping.lab.evaluation.antipodal import antipodal_grasp
 from grasping.lab.evaluation.lifting import lift
 from grasping.lab.programs.evaluate import SPLITS, object_count, open_results
+from grasping.lab.programs.make_attempts import lift_network
 from grasping.lab.programs.make_attempts import network as ggcnn
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.attempts import image_maps
@@ -36,10 +37,13 @@ from grasping.network import maps, weights
 from grasping.pipeline.projection import along, project_grasp
 from grasping.poses.chooser import ImageMaps, choose
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD
-from grasping.poses.lift_network import LiftNetwork, loaded
+from grasping.poses.lift_network import loaded
 
 ALONE = "GG-CNN along the camera's axis"
 ABOVE = "GG-CNN, from above"
+CLOUD = "opposed surfaces of the point cloud"
+ALL = ALONE, ABOVE, CLOUD
+"""The methods that know nothing of lifts."""
 WAYS = {"from above": ABOVE_RAD, "tilted": MAX_TILT_RAD}
 """Greatest tilt [rad] of what a network of lifts may take."""
 VALIDATION = tuple(name for name in ALL_SPLITS if name.startswith("validation_"))
@@ -61,11 +65,6 @@ class ChosenPose(NamedTuple):
     T_camera_grasp: np.ndarray
     opening: float
     quality: float
-
-
-@lru_cache(maxsize=8)
-def lift_network(file: Path) -> LiftNetwork:
-    return loaded(file.read_bytes())
 
 
 def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
@@ -98,6 +97,8 @@ def _chosen(task: PoseTrialTask, of: ImageMaps, observed: np.ndarray) -> dict[st
         name: None if grasp is None else ChosenPose(grasp.T_camera_grasp, grasp.width, peak.quality)
         for name, grasp in ((ALONE, where), (ABOVE, above))
     }
+    opposed = antipodal_grasp(of, GRIPPER, MAX_TILT_RAD, np.random.default_rng(task.number))
+    found[CLOUD] = None if opposed is None else ChosenPose(*opposed)
     for name, file in task.lifts.items():
         for way, most in WAYS.items():
             best = choose(lift_network(file), of, GRIPPER.opening, most)
@@ -119,7 +120,7 @@ def report(folder: Path, rows: list[dict[str, Any]], methods: list[str]) -> str:
     ]
     text = "\n".join(part for part in compared if part)
     (folder / "table.md").write_text(text, encoding="utf-8")
-    of = {name: [row for row in rows if row["method"] == name] for name in methods if name not in (ALONE, ABOVE)}
+    of = {name: [row for row in rows if row["method"] == name] for name in methods if name not in ALL}
     sheets.reliability_plot(
         folder / "reliability.png",
         {name: ([r["quality"] for r in own], [r["lifted"] for r in own]) for name, own in of.items()},
@@ -150,7 +151,7 @@ def main() -> None:
         parser.error(str(error))
     numbers = range(given.first, given.first + given.scenes)
     tasks = [PoseTrialTask(given.split, number, given.ggcnn, files) for number in numbers]
-    methods = [ALONE, ABOVE, *(f"{name}, {way}" for name in files for way in WAYS)]
+    methods = [*ALL, *(f"{name}, {way}" for name in files for way in WAYS)]
     rows: list[dict[str, Any]] = []
     try:
         pool_of = multiprocessing.get_context("spawn").Pool

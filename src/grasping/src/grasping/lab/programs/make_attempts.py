@@ -21,6 +21,10 @@ from grasping.lab.synthetic.attempts import attempts
 from grasping.network import weights
 from grasping.network.maps import PARALLEL
 from grasping.network.networks import MapNetwork, frozen
+from grasping.poses.lift_network import LiftNetwork, loaded
+
+BELIEVED = "believed"
+"""In the name of a shard whose attempts a network of lifts chose."""
 
 
 class AttemptTask(NamedTuple):
@@ -31,11 +35,17 @@ class AttemptTask(NamedTuple):
     numbers: range
     weights: Path
     most: int
+    lifts: Path | None
 
 
 @lru_cache(maxsize=1)
 def network(file: Path) -> MapNetwork:
     return frozen(weights.load(file.read_bytes()).network)
+
+
+@lru_cache(maxsize=8)
+def lift_network(file: Path) -> LiftNetwork:
+    return loaded(file.read_bytes())
 
 
 def make_shard(task: AttemptTask) -> None:
@@ -45,7 +55,8 @@ def make_shard(task: AttemptTask) -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    made = [attempts(task.split, number, network(task.weights), task.most) for number in task.numbers]
+    lifts = None if task.lifts is None else lift_network(task.lifts)
+    made = [attempts(task.split, number, network(task.weights), task.most, lifts) for number in task.numbers]
     part = task.path.with_suffix(".part.npz")
     arrays = {name: np.concatenate([getattr(one, name) for one in made]) for name in ("T", "opening", "seen", "reason")}
     image = np.repeat(np.arange(len(made)), [len(one.T) for one in made])
@@ -63,18 +74,23 @@ def main() -> None:
     parser.add_argument("--split", choices=sorted(samples.SPLITS), default="train_blobs", help="which scenes")
     parser.add_argument("--scenes", type=whole(1, 10**6), default=2000, help=f"how many, a multiple of {SHARD}")
     parser.add_argument("--most", type=whole(8, 1000), default=24, help="attempts in a scene, default 24")
+    parser.add_argument("--first", type=whole(0, 10**9), default=0, help="number of the first scene, default 0")
+    parser.add_argument("--lifts", type=Path, help="a network of lifts: attempts are those that it believes in")
     parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many shards at a time")
     given = parser.parse_args()
     if given.scenes % SHARD:
         parser.error(f"--scenes is {given.scenes}, but must be a multiple of {SHARD}.")
     try:
         weights.load(given.weights.read_bytes())
+        if given.lifts is not None:
+            loaded(given.lifts.read_bytes())
     except (OSError, RigError) as error:
         parser.error(str(error))
+    kind = f"{given.split}_{given.most}" + ("" if given.lifts is None else f"_{BELIEVED}")
     tasks = [
-        AttemptTask(given.folder / f"{given.split}_{given.most}_{first:06d}.npz", given.split,
-                    range(first, first + SHARD), given.weights.absolute(), given.most)
-        for first in range(0, given.scenes, SHARD)
+        AttemptTask(given.folder / f"{kind}_{first:06d}.npz", given.split, range(first, first + SHARD),
+                    given.weights.absolute(), given.most, given.lifts)
+        for first in range(given.first, given.first + given.scenes, SHARD)
     ]  # fmt: skip
     try:
         make_all(parser, given.folder, make_shard, tasks, given.processes, "shard")

@@ -1,5 +1,6 @@
 """Trains the network of lifts on the shards of make_attempts.py; minutes on a processor. The temperature, which makes
-its output a probability, is found on the validation's scenes."""
+its output a probability, is found on the validation's grasps that a network of lifts chose, where there are any: of
+many hypotheses the best one is overrated."""
 
 from __future__ import annotations
 
@@ -20,6 +21,7 @@ from tqdm import tqdm
 from common.command_line import real, whole
 from common.errors import RigError
 from grasping.lab.evaluation.trials import CROP, camera
+from grasping.lab.programs.make_attempts import BELIEVED
 from grasping.lab.programs.train_refinement import read_episodes
 from grasping.lab.training.lift_examples import attempt
 from grasping.network.depth_image import NetworkImage
@@ -73,8 +75,7 @@ def with_episodes(data: LiftData, folders: Sequence[Path]) -> LiftData:
 
 
 def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: int) -> tuple[LiftNetwork, list[dict]]:
-    """Returns the network of the epoch that validates best on one half of the validation, with the temperature that
-    suits the other half, and each epoch's losses."""
+    """Returns the network of the epoch that validates best, and each epoch's losses."""
     batch, decay = 256, 1e-3
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
@@ -83,7 +84,6 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
     steps = epochs * -(-len(data.lifted) // batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
     loss_of = nn.BCEWithLogitsLoss()
-    half = len(validation.lifted) // 2
     known, wanted = torch.from_numpy(validation.features), torch.from_numpy(validation.lifted)
     best = copy.deepcopy(network)
     rows: list[dict] = []
@@ -101,18 +101,18 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
             losses.append(loss.item())
         network.eval()
         with torch.no_grad():
-            found = float(loss_of(network(known[:half]), wanted[:half]))
+            found = float(loss_of(network(known), wanted))
         if found < min((row["validation"] for row in rows), default=np.inf):
             best = copy.deepcopy(network)
         rows.append({"epoch": epoch + 1, "training": float(np.mean(losses)), "validation": found})
-    calibrate(best, known[half:], wanted[half:])
     return best.eval(), rows
 
 
-def calibrate(network: LiftNetwork, known: torch.Tensor, wanted: torch.Tensor) -> None:
+def calibrate(network: LiftNetwork, data: LiftData) -> None:
     """Sets the temperature to that of the least loss."""
+    wanted = torch.from_numpy(data.lifted)
     with torch.no_grad():
-        logits = network(known)
+        logits = network(torch.from_numpy(data.features))
         tried = torch.linspace(0.5, 3.0, 51)
         losses = [float(nn.functional.binary_cross_entropy_with_logits(logits / t, wanted)) for t in tried]
         network.temperature.copy_(tried[int(np.argmin(losses))])
@@ -133,11 +133,13 @@ def main() -> None:
         sorted(path for path in given.data.glob(f"{name}_*.npz") if ".part." not in path.name)
         for name in ("train", "validation")
     )
+    believed = [path for path in kept if BELIEVED in path.name]
     if not kept or not used:
         parser.error(f"{given.data} needs shards train_*.npz and validation_*.npz.")
     try:
         given.run.mkdir(parents=True, exist_ok=True)
         data, validation = with_episodes(read(used), given.episodes), read(kept)
+        chosen = read(believed) if believed else validation
     except RigError as error:
         parser.error(str(error))
     except OSError as error:
@@ -147,6 +149,7 @@ def main() -> None:
     if data[2:] != validation[2:]:
         parser.error(f"{given.data} trains on {data[2:]}, but validates on {validation[2:]}.")
     network, rows = train(data, validation, given.epochs, given.rate, given.seed)
+    calibrate(network, chosen)
     torch.save(saved(network), given.run / "lifts.pt")
     (given.run / "curves.json").write_text(json.dumps(rows, indent=1) + "\n")
     least = min(row["validation"] for row in rows)

@@ -17,8 +17,9 @@ from grasping.lab.synthetic.samples import GRIPPER, SPLITS, SceneView, view
 from grasping.network import maps
 from grasping.network.depth_image import prepare
 from grasping.network.networks import MapNetwork, infer
-from grasping.poses.chooser import ImageMaps
+from grasping.poses.chooser import ImageMaps, choose
 from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, Turn, hypotheses, said_of, varied
+from grasping.poses.lift_network import LiftNetwork
 
 SMOOTHING = maps.Smoothing(quality=2.0)
 
@@ -43,13 +44,13 @@ def image_maps(seen: SceneView, network: MapNetwork) -> ImageMaps:
     )
 
 
-def attempts(split: str, number: int, network: MapNetwork, most: int) -> Attempts:
+def attempts(split: str, number: int, network: MapNetwork, most: int, lifts: LiftNetwork | None = None) -> Attempts:
     """Returns at most `most` attempts in a scene: of GGCNN's best places, of any, and of those that the shapes offer,
-    and of poses near all of these."""
+    and of poses near all of these; with a network of lifts, of those that it believes in."""
     rng = np.random.default_rng([66, SPLITS[split].number, number])
     seen = view(split, number)
     of = image_maps(seen, network)
-    tried = _chosen(rng, seen, of, most)
+    tried = _drawn(rng, seen, of, most) if lifts is None else _believed(rng, of, most, lifts)
     T_world_camera = pose(seen.camera.R, seen.camera.position)
     reasons = []
     for T, opening in zip(tried.T, tried.opening):
@@ -63,7 +64,16 @@ def attempts(split: str, number: int, network: MapNetwork, most: int) -> Attempt
     return Attempts(of.image.depth, of.image.valid, *tried, np.array(reasons, np.uint8))
 
 
-def _chosen(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int) -> Hypotheses:
+def _believed(rng: np.random.Generator, of: ImageMaps, most: int, lifts: LiftNetwork) -> Hypotheses:
+    """Returns grasps that a network of lifts ranks first, and some behind these: what training on others' grasps
+    overrates."""
+    mean_rank = 40.0
+    ranked = choose(lifts, of, GRIPPER.opening).of
+    behind = rng.exponential(mean_rank, most - 1).astype(int)
+    return ranked.part(np.unique([0, *np.minimum(behind, len(ranked.T) - 1)])) if len(ranked.T) else ranked
+
+
+def _drawn(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int) -> Hypotheses:
     tries, most_open, frame = 40, GRIPPER.opening, of.frame()
     at = of.maps, of.certainty, of.image, of.camera, frame, most_open
     usual = hypotheses(*at, TURNS)
