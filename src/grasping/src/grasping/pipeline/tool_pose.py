@@ -36,7 +36,11 @@ class ToolPoseConfig:
     closing_angle: float = number(
         "deg", low=-180.0, high=180.0, doc="from the tool's x axis, about its z axis, to the line the fingers close on"
     )
-    approach: str = choice(VERTICAL, ALONG_GRASP, doc="vertical: the tool points down; grasp: along the grasp's z axis")
+    approach: str = choice(
+        VERTICAL,
+        ALONG_GRASP,
+        doc="vertical: the tool points down; grasp: along the grasp's z axis, as always if a network of lifts chose it",
+    )
     clearance: float = number("m", low=0.0, high=0.5, doc="how far the tool stops before the grasp")
     max_opening: float = number("m", above=0.0, high=0.5, doc="widest thing that the open hand takes")
     preferred_opening: np.ndarray = vector(
