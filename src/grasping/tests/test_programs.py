@@ -34,6 +34,7 @@ from grasping.network.maps import PARALLEL, REFLEX
 from grasping.network.networks import NETWORKS
 
 SHIPPED = Path(__file__).parents[1] / "weights" / "ggcnn2_wide.pt"
+LIFTS = SHIPPED.with_name("lifts_parallel.pt")
 
 
 def call(monkeypatch, program, *arguments):
@@ -245,8 +246,9 @@ EITHER = "Either a folder for the results is needed, or --export."
         (find_grasps, ["bad", SHIPPED], "is not an image"),
         (find_grasps, ["hole.png", SHIPPED], "holds no reading"),
         (train_refinement, ["nowhere", "run"], "holds no episode"),
-        (evaluate_refinement, ["nowhere", "new"], "holds no episode"),
-        (evaluate_refinement, ["nowhere", "new", "--few", "-1"], "--few is -1, but must be at least 0."),
+        (evaluate_refinement, ["nowhere", "new", "bad"], "holds no weights of the network of lifts"),
+        (evaluate_refinement, ["nowhere", "new", LIFTS, "--few", "-1"], "from 0 to 1000"),
+        (evaluate_refinement, ["nowhere", "new", LIFTS], "holds no episode"),
         (make_episodes, ["made", "nowhere.pt"], "No such file"),
         (make_episodes, ["made", SHIPPED, "--frames", "0"], "argument --frames"),
     ],

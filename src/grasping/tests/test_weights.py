@@ -16,6 +16,7 @@ import torch
 from common.ros.files import read_yaml
 from grasping.network import weights
 from grasping.network.maps import PARALLEL, REFLEX
+from grasping.poses import lift_network
 from grasping.refinement import refinement_file
 
 OWN = {
@@ -190,7 +191,7 @@ def test_hash_is_checked():
 def test_the_packages_own_weights_are_as_listed():
     folder = Path(__file__).parents[1] / "weights"
     sums = (folder / "SHA256SUMS").read_text()
-    assert {path.name for path in folder.glob("*.pt")} == OWN.keys()
+    assert {path.name for path in folder.glob("*.pt")} == {*OWN, "lifts_parallel.pt"}
     for name, (network, hand) in OWN.items():
         content = (folder / name).read_bytes()
         assert len(content) < 300_000
@@ -198,6 +199,11 @@ def test_the_packages_own_weights_are_as_listed():
         assert (loaded.name, loaded.hand) == (network, hand)
     with pytest.raises(weights.WeightsError, match="does not name other.pt"):
         weights.listed_sha256(sums, "other.pt")
+    content = (folder / "lifts_parallel.pt").read_bytes()
+    weights.checked_sha256(content, weights.listed_sha256(sums, "lifts_parallel.pt"))
+    assert len(content) < 320_000
+    lifts = lift_network.loaded(content)
+    assert (lifts.hand, lifts.ggcnn) == (PARALLEL, weights.listed_sha256(sums, "ggcnn2_wide.pt"))
 
 
 def test_the_node_comes_with_weights_for_the_hand_that_the_rig_has():
