@@ -119,10 +119,12 @@ def test_a_grasp_that_is_none_of_the_options_teaches_nothing(lessons):
     np.testing.assert_allclose(learned(far).weights, 0.0, atol=0.05)
 
 
-def test_a_bare_table_has_no_options(lessons):
-    bare = bar_image(height=0.0)
-    assert len(options(SURE, bare, OPEN_M).base) == 0
-    assert len(grasps(SURE, bare, learned(lessons)).probability) == 0
+def test_where_ggcnn_sees_nothing_the_safest_grasp_is_taken_and_on_a_bare_table_none(lessons):
+    of, known = bar_image(turned=0.5), learned(lessons)
+    blind = of._replace(maps=of.maps._replace(quality=np.zeros_like(of.maps.quality)))
+    assert len(options(SURE, blind, OPEN_M).base) == 0
+    np.testing.assert_array_equal(grasps(SURE, blind, known).of.T, choose(SURE, blind, OPEN_M).of.T)
+    assert len(grasps(SURE, bar_image(height=0.0), known).probability) == 0
 
 
 def test_a_wanted_grasp_comes_down_at_its_option():

@@ -172,14 +172,15 @@ def varied(
     most_open: float,
     frame: LevelFrame,
     max_tilt: float = MAX_TILT_RAD,
+    scale: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns poses and openings near those of hypotheses, `each` of them for each one, in the hypotheses' order;
-    `max_tilt`: as of `upright`."""
+    `max_tilt`: as of `upright`; `scale`: of the poses' deviations."""
     T = np.repeat(of.T, each, axis=0)
     shape = (len(T), 3)
-    turned = T[:, :3, :3] @ rotations(rng.normal(0.0, (0.15, 0.15, 0.2), shape))
+    turned = T[:, :3, :3] @ rotations(scale * rng.normal(0.0, (0.15, 0.15, 0.2), shape))
     T[:, :3, :3] = upright(turned, frame, max_tilt)
-    T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], rng.normal(0.0, (0.004, 0.006, 0.006), shape))
+    T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], scale * rng.normal(0.0, (0.004, 0.006, 0.006), shape))
     opening = np.clip(np.repeat(of.opening, each) + rng.normal(0.0, 0.008, len(T)), MIN_OPENING_M, most_open)
     return T, opening
 

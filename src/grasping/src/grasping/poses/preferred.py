@@ -42,16 +42,16 @@ def preferred(
 ) -> ScoredPoses:
     """Returns the allowed grasps of an image, the favourite first, with the probability that each one lifts; the safest
     ones where there is none, or no episode."""
-    best, each = 32, 8  # options that are looked at, and grasps near each one's
+    best, each, scale = 32, 16, 0.5  # options that are looked at, and grasps near each one's
     safest, given = offered
-    if not len(safest.probability) or not taste.weights.any():
+    if not len(safest.probability) or not len(given.base) or not taste.weights.any():
         return safest
     frame = of.frame()
     appeal = expected(taste, given)
     top = np.argsort(-appeal, kind="stable")[:best]
     wanted = wanted_poses(taste, given, of, most_open, max_tilt)
     part = wanted.part(top)
-    T, opening = varied(part, each, np.random.default_rng(0), most_open, frame, max_tilt)
+    T, opening = varied(part, each, np.random.default_rng(0), most_open, frame, max_tilt, scale)
     near = Hypotheses(T, opening, said_of(T, opening, of.maps, of.certainty, of.image, of.camera, frame))
     away = 0.5 * distances(np.repeat(part.T, each, axis=0), T, taste) ** 2
     tried = Hypotheses(*(np.concatenate(pair) for pair in zip(part, near)))

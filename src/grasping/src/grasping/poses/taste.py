@@ -15,9 +15,9 @@ import numpy as np
 
 from grasping.poses.chooser import ImageMaps
 from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import Hypotheses, level_rotation, places, rotations, said_of
+from grasping.poses.hypotheses import Hypotheses, level_rotation, rotations, said_of
 from grasping.poses.lift_network import LiftNetwork, lift_logits
-from grasping.refinement.candidates import LENGTH_M, OTHER_LINES, TASTES, Candidates, described, turned
+from grasping.refinement.candidates import LENGTH_M, TASTES, Candidates, candidates
 from grasping.refinement.taste import WEIGHT_SD, half_turn, maximised, ridge, softmax
 
 QUALITY_WORTH, LIFT_WORTH = 8.0, 0.25  # of an option, before anything is learned
@@ -75,18 +75,14 @@ def nobody() -> PoseTaste:
 
 def options(network: LiftNetwork, of: ImageMaps, most_open: float) -> Options:
     """Returns the options of an image; `most_open`: what the hand opens at most [m]."""
-    frame = of.frame()
-    at = [of.maps.at(int(row), int(column)) for row, column in places(of.maps, of.image, of.camera, frame)]
-    if not at:
-        return Options(
-            described((), np.zeros(0), of.certainty, of.image, of.camera), np.zeros((0, len(SD))), np.zeros(0)
-        )
-    turns = np.repeat([0.0, *OTHER_LINES], len(at))
-    peaks = at + [turned(peak, turn) for turn in OTHER_LINES for peak in at]
-    found = described(peaks, turns, of.certainty, of.image, of.camera)
-    zero = np.zeros(len(peaks))
-    upright = poses(found, np.zeros((len(peaks), 2)), zero, zero, np.clip(found.openings, 0.01, most_open), of)
-    logits = np.clip(lift_logits(network, features(upright, of.image, of.camera, frame)), -LARGEST_LOGIT, LARGEST_LOGIT)
+    found = candidates(of.maps, of.certainty, of.image, of.camera)
+    n = len(found.peaks)
+    if not n:
+        return Options(found, np.zeros((0, len(SD))), np.zeros(0))
+    upright = poses(found, np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.clip(found.openings, 0.01, most_open), of)
+    logits = np.clip(
+        lift_logits(network, features(upright, of.image, of.camera, found.frame)), -LARGEST_LOGIT, LARGEST_LOGIT
+    )
     seen = np.column_stack([found.tastes, logits / LARGEST_LOGIT])
     return Options(found, seen, QUALITY_WORTH * found.quality + LIFT_WORTH * logits)
 

@@ -99,13 +99,13 @@ def candidates(maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: C
     turns = np.zeros(len(found))
     for peak, sure in [(p, certainty[p.row, p.column]) for p in found]:
         if sure < ambiguous:
-            found += [turned(peak, turn) for turn in OTHER_LINES]
+            found += [_turned(peak, turn) for turn in OTHER_LINES]
             turns = np.append(turns, OTHER_LINES)
     order = np.argsort([-p.quality for p in found], kind="stable")
     return described([found[i] for i in order], turns[order], certainty, image, camera)
 
 
-def turned(peak: Peak, turn: float) -> Peak:
+def _turned(peak: Peak, turn: float) -> Peak:
     other_quality = 0.8  # of the candidates on other lines, as a fraction of that on GGCNN's line
     angle = (peak.angle + turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi
     return peak._replace(angle=angle, quality=other_quality * peak.quality)
