@@ -41,8 +41,8 @@ def compile_java(out, release, sources, path):
 class Line:
     """A plain client."""
 
-    def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
+    def __init__(self, port, host="127.0.0.1"):
+        self.socket = socket.create_connection((host, port), PATIENCE_S)
         self.replies = self.socket.makefile("rb")
 
     def send(self, line):
@@ -119,3 +119,9 @@ def serve(classes, processes, wait_until, tmp_path):
     return lambda **properties: Server(
         processes, wait_until, classes, tmp_path, {k.replace("__", "."): v for k, v in properties.items()}
     )
+
+
+@pytest.fixture
+def line_to():
+    """Connects a plain client to a host and port."""
+    return lambda host, port: Line(port, host)

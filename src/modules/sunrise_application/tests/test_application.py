@@ -104,6 +104,7 @@ def test_a_second_connection_stops_what_moves(serve, start):
     client.ask(HOME)
     client.ask("cArtixanPosition_0_0_-20_0_0_0_")
     assert client.ask(start) in ("done\n", "ok_lrGuide_\n")
+    server.wait_for("CALL move")
     assert second.ask("lrStop_") == "ok_lrStop_\n"
     assert client.hear() == "stopped_the client_\n"
     assert second.hear() == "event_the motion was stopped by the client_\n"

@@ -606,8 +606,8 @@ final class Session {
         motion = made;
         motion.contact = hello ? contact : null;
         ending = request.stops != stops ? "the client" : null;
-        String no = ending != null ? ending : motion.refusal();
         boolean still = guarded && motion.guard.length == 0;
+        String no = ending != null || still ? ending : motion.refusal();
         if (no == null && !still) no = started();
         refused = no != null;
         if (refused) log.info("a motion is refused: " + no);
@@ -644,7 +644,12 @@ final class Session {
     private void stopMotion(String why, double now) {
         ending = why;
         cancelled = now;
-        if (motion != null && !refused) arm.cancel();
+        if (motion == null || refused) return;
+        try {
+            arm.cancel();
+        } catch (RuntimeException error) {
+            log.info("the motion does not stop in order, and is asked again: " + error);
+        }
     }
 
     private void finish(boolean runs) {

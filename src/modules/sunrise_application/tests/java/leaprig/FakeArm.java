@@ -15,6 +15,9 @@ final class FakeArm implements Arm {
     boolean servoing;
     boolean soft = true;
     boolean throwsAtStart;
+    boolean throwsAtStop;
+    boolean throwsInServo;
+    boolean throwsWhenAsked;
     String stop = "NOSTOP";
     Motion motion;
     private double began;
@@ -63,6 +66,7 @@ final class FakeArm implements Arm {
 
     @Override
     public boolean finished() {
+        if (throwsWhenAsked) throw new IllegalStateException("nobody knows");
         if (motion == null) return true;
         if (motion.contact != null && Double.isNaN(cancelledAt))
             for (int i = 0; i < 7; i++)
@@ -82,6 +86,7 @@ final class FakeArm implements Arm {
 
     @Override
     public void cancel() {
+        if (throwsAtStop) throw new IllegalStateException("no cancel");
         calls.add("cancel");
         if (Double.isNaN(cancelledAt)) cancelledAt = now;
     }
@@ -101,6 +106,7 @@ final class FakeArm implements Arm {
     @Override
     public void servo(double[] destination) {
         if (!servoing) throw new AssertionError("a destination without servo mode");
+        if (throwsInServo) throw new IllegalStateException("the drives are off");
         if (Limits.outside(destination) >= 0) throw new AssertionError("a destination outside the ranges");
         System.arraycopy(destination, 0, joints, 0, 7);
     }
@@ -114,6 +120,7 @@ final class FakeArm implements Arm {
     public void stopServo() {
         calls.add("stopServo");
         servoing = false;
+        if (throwsAtStop) throw new IllegalStateException("no stop");
     }
 
     @Override

@@ -173,6 +173,21 @@ public final class UnitTests {
         equal(110.0, Motion.moved(pose, way, false)[0]);
         double[] to = Motion.moved(pose, way, true);
         check(Math.abs(to[0] - 100) < 1e-9 && Math.abs(to[1] - 210) < 1e-9 && Math.abs(to[2] - 305) < 1e-9, "turned");
+        double[] turned = {1, 2, 3, 0.3, -0.7, 2};
+        for (int axis = 0; axis < 3; axis++) {
+            way = new double[6];
+            way[axis] = 10;
+            double[] one = Motion.moved(turned, way, true);
+            way[axis] = 0;
+            way[(axis + 1) % 3] = 10;
+            double[] next = Motion.moved(turned, way, true);
+            double along = 0, across = 0;
+            for (int i = 0; i < 3; i++) {
+                along += (one[i] - turned[i]) * (one[i] - turned[i]);
+                across += (one[i] - turned[i]) * (next[i] - turned[i]);
+            }
+            check(Math.abs(along - 100) < 1e-9 && Math.abs(across) < 1e-9, "a rotation keeps lengths and right angles");
+        }
     }
 
     public void anOldClientSeesTheToolboxAlone() {
@@ -253,10 +268,10 @@ public final class UnitTests {
     public void aGuardedMotionIsInterruptedAndKeepsTheLastWord() {
         Bench bench = new Bench();
         bench.ask(HOME);
-        equal("nak\n", bench.ask("doPTP!inJS_0_-10_"));
+        for (String bad : new String[] {"_0_-10_", "_0_NaN_10_", ONES_22 + "_1_1_"}) equal("nak\n", bench.ask("doPTP!inJS" + bad));
         equal("done\n", bench.ask("doPTP!inJS"));
         bench.run(0.1);
-        equal("interrupted\n", bench.client.take().replace("done", "interrupted"));
+        equal("done\n", bench.client.take());
         equal("done\n", bench.ask("doPTP!inJS_0_-10_10_"));
         equal("", bench.ask("Torques_ext_J"));
         bench.arm.torques[0] = 11;
@@ -514,6 +529,20 @@ public final class UnitTests {
         check(bench.ask("lrTool_1_0_0_60_0_0_106_0_0_0_").startsWith("no_lrTool_the arm is not at rest"), "at rest");
     }
 
+    public void aSoftArmIsSentTheGoalItselfAndAStiffOneByTheLaw() {
+        for (Soft how : new Soft[] {Soft.STIFF, new Soft(Soft.Kind.JOINTS, null)}) {
+            FakeArm arm = new FakeArm();
+            Servo servo = new Servo(arm);
+            Goals goals = new Goals();
+            servo.start(Servo.Kind.JOINTS, how, goals, 1);
+            goals.setJoints(new double[] {0.02}, 1);
+            check(servo.step(goals, 1.001) == null, "it can be followed");
+            equal(how == Soft.STIFF ? Servo.law(0.02) : 0.02, arm.joints[0]);
+        }
+    }
+
+    public void nothingOnTheFlangeHasItsCentreThere() { equal(0.0, new ToolData().centre()[2]); }
+
     public void softNeedsAToolOfKnownMassAndTheLoadCheck() {
         Bench bench = new Bench();
         bench.hello();
@@ -592,6 +621,35 @@ public final class UnitTests {
         bench.arm.stop = "STOP1";
         bench.run(0.02);
         check(!bench.arm.servoing, "ended");
+    }
+
+    public void whatTheControllerThrowsEndsWhatRunsAndNotTheSession() {
+        Bench bench = new Bench();
+        bench.ask("startDirectServoJoints");
+        bench.arm.throwsAtStop = true;
+        bench.arm.throwsInServo = true;
+        bench.run(0.01);
+        check(!bench.arm.servoing && bench.session.mode() == Session.Mode.IDLE, "servo mode ended");
+        equal("", bench.client.take());
+        bench.arm.throwsAtStop = false;
+        bench.ask("doPTPinJS");
+        bench.arm.throwsWhenAsked = true;
+        bench.run(0.01);
+        equal("nak\n", bench.client.take());
+        check(bench.arm.calls.contains("cancel"), "it is asked to stop");
+        equal("done\n", bench.ask("jRelVel_0.5_"));
+    }
+
+    public void aCancelThatFailsIsAskedForAgain() {
+        Bench bench = new Bench();
+        bench.ask("doPTPinJS");
+        bench.arm.throwsAtStop = true;
+        bench.session.stop();
+        bench.run(0.25);
+        equal(Session.Mode.MOTION, bench.session.mode());
+        bench.arm.throwsAtStop = false;
+        bench.run(0.3);
+        equal("nak\n", bench.client.take());
     }
 
     public void oneClientAtATimeAndTheNextAfterIt() {

@@ -170,6 +170,7 @@ public final class SimRobot {
     public static IMotionContainer servo() { return null; }
 
     private static IMotionContainer follow(double seconds, List<ICondition> stop, DoubleFunction<double[]> at) {
+        note("move");
         Run run = new Run(seconds, stop, at);
         Thread thread = new Thread(run, "motion");
         thread.setDaemon(true);
