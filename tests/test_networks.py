@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from campaign.network import cells
+from campaign.network import cells, measure
 from campaign.network.wire import ROOT
 
 STORED = json.loads((ROOT / "docs" / "bad-networks.json").read_text())
@@ -65,6 +67,52 @@ def test_a_page_shows_faults_what_was_not_measured_and_what_was_not_run():
 
 
 MODELLED = ("delay_5", "delay_20", "delay_100", "jitter_50", "loss_1", "loss_10", "reordering")
+
+
+class OperatorsTime:
+    """The clock of a measurement, which passes while it waits."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+def rig_that_follows(mode: str, follows_from: float, time: OperatorsTime):
+    """A rig in that mode, whose arm follows from a time on."""
+    answer = SimpleNamespace(success=True)
+    return SimpleNamespace(
+        mode=mode, modes=[mode], control=lambda on: answer,
+        hand=SimpleNamespace(show=lambda **_: None, hide=lambda: None, sway=lambda *_, **__: None),
+        arm=SimpleNamespace(now=property_of(lambda: 0.3 if time.now >= follows_from else 0.0)),
+    )  # fmt: skip
+
+
+def property_of(speed):
+    return type("Now", (), {"tool_speed": property(lambda _: speed())})()
+
+
+@pytest.mark.parametrize(
+    "mode, follows_from, way, least, most",
+    [
+        ("servo", 101.0, "followed on", 1.0, 1.1),
+        ("servo", 104.0, "hand in again", 4.0, 4.1),
+        ("servo", np.inf, "none", 6.0, 30.0),
+        ("home", np.inf, "none", 43.0, 44.0),
+        ("stopped", np.inf, "none", 20.0, 20.1),
+    ],
+)
+def test_an_operator_waits_for_the_arm_no_longer_than_the_table_says(monkeypatch, mode, follows_from, way, least, most):
+    """On any machine: else a cell whose arm does not follow by itself ends by the time-out of its row."""
+    time = OperatorsTime()
+    monkeypatch.setattr(measure, "clock", time)
+    found, seconds = measure._recover(rig_that_follows(mode, follows_from, time))
+    assert found == way
+    assert least - 0.05 <= seconds <= most
 
 
 @pytest.mark.ros
