@@ -41,7 +41,7 @@ def preferred(
     max_tilt: float = MAX_TILT_RAD,
 ) -> ScoredPoses:
     """Returns the allowed grasps of an image, the favourite first, with the probability that each one lifts; the safest
-    ones where there is none, or no episode."""
+    ones where no grasp is allowed or no episode was shown."""
     best, each, scale = 32, 16, 0.5  # options that are looked at, and grasps near each one's
     safest, given = offered
     if not len(safest.probability) or not len(given.base) or not taste.weights.any():

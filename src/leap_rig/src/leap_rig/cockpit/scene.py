@@ -55,8 +55,8 @@ WORKER = b"""<script>
 </script>"""
 """viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes. The
 size of the view that it sends becomes that on the page, in which labels have one size on every screen. The outer
-page is told when the connection ends and when it is back. A frame without focus is made to reconnect: viser waits for
-focus."""
+page is told when the connection ends and when it is back. viser reconnects only in a frame that has focus; this makes
+it reconnect in any."""
 DRAW_LESS = b"""<script>
 "use strict";
 {

@@ -90,7 +90,9 @@ def _at(points: np.ndarray, normals: np.ndarray, gripper: Gripper) -> tuple[floa
         left, right = x[between].min(), x[between].max()
         opening = right - left + 2.0 * gripper.clearance
         middle = 0.5 * (left + right)
-        finger = in_way & (np.abs(x - middle) > 0.5 * opening) & (np.abs(x - middle) < 0.5 * opening + 0.008)
+        finger = (
+            in_way & (np.abs(x - middle) > 0.5 * opening) & (np.abs(x - middle) < 0.5 * opening + gripper.thickness)
+        )
         if opening > gripper.opening or finger.any():
             continue
         sides = (

@@ -83,7 +83,7 @@ class Finding(NamedTuple):
 
 
 def read(path: Path) -> list[StudyOutcome]:
-    """Returns the outcomes of a file of results; raises RigError if it is none."""
+    """Returns the outcomes of a file of results; raises RigError for any other file."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
