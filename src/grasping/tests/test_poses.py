@@ -346,8 +346,9 @@ def test_opposed_surfaces_of_a_bar_are_its_long_sides(turned, tilt):
 
 
 def test_a_bar_wider_than_the_hand_and_a_bare_table_have_no_opposed_surfaces_within_reach():
-    of, narrow = bar_image(), GRIPPER._replace(opening=0.025)
-    assert antipodal_grasp(of, narrow, MAX_TILT_RAD, np.random.default_rng(1)) is None
+    for opening in (0.025, 0.036):  # narrower than the bar, and without room for the clearances
+        narrow = GRIPPER._replace(opening=opening)
+        assert antipodal_grasp(bar_image(), narrow, MAX_TILT_RAD, np.random.default_rng(1)) is None
     assert antipodal_grasp(bar_image(height=0.0), GRIPPER, MAX_TILT_RAD, np.random.default_rng(1)) is None
 
 
