@@ -356,11 +356,13 @@ def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_pat
     file = tmp_path / "lifts.pt"
     torch.manual_seed(0)
     torch.save(saved(LiftNetwork()), file)
-    rows = evaluate_poses.try_scene(evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {"mine": file}))
-    methods = [*evaluate_poses.ALL, "mine, from above", "mine, tilted"]
+    rows = evaluate_poses.try_scene(
+        evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {"other": WEIGHTS}, {"mine": file})
+    )
+    methods = [*evaluate_poses.ALL, "other", "mine, from above", "mine, tilted"]
     assert [row["method"] for row in rows] == methods
     assert all(set(row) == set(evaluate_poses.COLUMNS) for row in rows)
-    assert rows[1]["tilt"] < 0.05 and rows[3]["tilt"] < 0.05, "of the table's plane, which is found in noise"
+    assert rows[1]["tilt"] < 0.05 and rows[4]["tilt"] < 0.05, "of the table's plane, which is found in noise"
     text = evaluate_poses.report(tmp_path, rows, methods)
     assert all(f"| {method} |" in text for method in methods)
     assert (tmp_path / "reliability.png").stat().st_size > 1000

@@ -31,10 +31,10 @@ from grasping.lab.programs.make_attempts import network as ggcnn
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.attempts import image_maps
 from grasping.lab.synthetic.pose_labels import meant
-from grasping.lab.synthetic.samples import GRIPPER, view
+from grasping.lab.synthetic.samples import GRIPPER, SceneView, view
 from grasping.lab.synthetic.samples import SPLITS as ALL_SPLITS
 from grasping.network import maps, weights
-from grasping.pipeline.projection import along, project_grasp
+from grasping.pipeline.projection import CameraGrasp, along, project_grasp
 from grasping.poses.chooser import ImageMaps, choose
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD
 from grasping.poses.lift_network import loaded
@@ -56,6 +56,7 @@ class PoseTrialTask(NamedTuple):
     split: str
     number: int
     ggcnn: Path
+    beside: Mapping[str, Path]
     lifts: Mapping[str, Path]
 
 
@@ -75,7 +76,7 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
     friction, miss = trials.drawn(task.number, trials.USUAL)
     T_world_camera = pose(seen.camera.R, seen.camera.position)
     rows = []
-    for method, chosen in _chosen(task, image_maps(seen, ggcnn(task.ggcnn)), seen.observed).items():
+    for method, chosen in _chosen(task, seen).items():
         row = {"scene": task.number, "objects": len(seen.scene.objects), "method": method}
         if chosen is None:
             rows.append({**row, "lifted": False, "reason": NO_GRASP, "quality": 0.0, "tilt": 0.0, "opening": 0.0})
@@ -89,24 +90,34 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
     return rows
 
 
-def _chosen(task: PoseTrialTask, of: ImageMaps, observed: np.ndarray) -> dict[str, ChosenPose | None]:
+def _chosen(task: PoseTrialTask, seen: SceneView) -> dict[str, ChosenPose | None]:
+    of = image_maps(seen, ggcnn(task.ggcnn))
     peak = maps.highest(of.maps)
-    where = project_grasp(peak, trials.CROP, len(of.image.depth), observed, of.camera)
+    where = _projected(of, peak, seen)
     above = None if where is None else along(where, of.frame().R[:, 2], of.camera)
-    found: dict[str, ChosenPose | None] = {
-        name: None if grasp is None else ChosenPose(grasp.T_camera_grasp, grasp.width, peak.quality)
-        for name, grasp in ((ALONE, where), (ABOVE, above))
-    }
+    found = {ALONE: _pose(where, peak), ABOVE: _pose(above, peak)}
     opposed = antipodal_grasp(of, GRIPPER, MAX_TILT_RAD, np.random.default_rng(task.number))
     found[CLOUD] = None if opposed is None else ChosenPose(*opposed)
+    for name, file in task.beside.items():
+        other = image_maps(seen, ggcnn(file))
+        best = maps.highest(other.maps)
+        found[name] = _pose(_projected(other, best, seen), best)
     for name, file in task.lifts.items():
         for way, most in WAYS.items():
-            best = choose(lift_network(file), of, GRIPPER.opening, most)
+            ranked = choose(lift_network(file), of, GRIPPER.opening, most)
             found[f"{name}, {way}"] = None
-            if len(best.probability):
-                first = best.of.T[0], float(best.of.opening[0]), float(best.probability[0])
+            if len(ranked.probability):
+                first = ranked.of.T[0], float(ranked.of.opening[0]), float(ranked.probability[0])
                 found[f"{name}, {way}"] = ChosenPose(*first)
     return found
+
+
+def _projected(of: ImageMaps, peak: maps.Peak, seen: SceneView) -> CameraGrasp | None:
+    return project_grasp(peak, trials.CROP, len(of.image.depth), seen.observed, of.camera)
+
+
+def _pose(grasp: CameraGrasp | None, peak: maps.Peak) -> ChosenPose | None:
+    return None if grasp is None else ChosenPose(grasp.T_camera_grasp, grasp.width, peak.quality)
 
 
 def report(folder: Path, rows: list[dict[str, Any]], methods: list[str]) -> str:
@@ -133,6 +144,14 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="where the results go")
     parser.add_argument("ggcnn", type=Path, help="weights of GG-CNN")
     parser.add_argument(
+        "--beside",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar=("NAME", "FILE"),
+        help="another GG-CNN, along the axis",
+    )
+    parser.add_argument(
         "--lifts", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network of lifts"
     )
     parser.add_argument("--split", choices=(*SPLITS, *VALIDATION), default="validation", help="which scenes")
@@ -143,15 +162,18 @@ def main() -> None:
     try:
         weights.load(given.ggcnn.read_bytes())
         files = {name: Path(file) for name, file in given.lifts}
-        if len(files) < len(given.lifts):
-            parser.error("Two networks of lifts have one name.")
+        beside = {name: Path(file) for name, file in given.beside}
+        if len({*files, *beside}) < len(given.lifts) + len(given.beside):
+            parser.error("Two networks have one name.")
+        for file in beside.values():
+            weights.load(file.read_bytes())
         for file in files.values():
             loaded(file.read_bytes())
     except (OSError, RigError) as error:
         parser.error(str(error))
     numbers = range(given.first, given.first + given.scenes)
-    tasks = [PoseTrialTask(given.split, number, given.ggcnn, files) for number in numbers]
-    methods = [*ALL, *(f"{name}, {way}" for name in files for way in WAYS)]
+    tasks = [PoseTrialTask(given.split, number, given.ggcnn, beside, files) for number in numbers]
+    methods = [*ALL, *beside, *(f"{name}, {way}" for name in files for way in WAYS)]
     rows: list[dict[str, Any]] = []
     try:
         pool_of = multiprocessing.get_context("spawn").Pool
@@ -162,7 +184,10 @@ def main() -> None:
     except RigError as error:
         parser.error(str(error))
     settings = {name: getattr(given, name) for name in ("split", "first", "scenes")}
-    hashes = {file.name: weights.checked_sha256(file.read_bytes(), None) for file in (given.ggcnn, *files.values())}
+    hashes = {
+        file.name: weights.checked_sha256(file.read_bytes(), None)
+        for file in (given.ggcnn, *beside.values(), *files.values())
+    }
     settings["weights"] = hashes
     (given.folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
     sys.stdout.write(report(given.folder, rows, methods))
