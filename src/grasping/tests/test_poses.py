@@ -363,6 +363,9 @@ def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_pat
     assert [row["method"] for row in rows] == methods
     assert all(set(row) == set(evaluate_poses.COLUMNS) for row in rows)
     assert rows[1]["tilt"] < 0.05 and rows[4]["tilt"] < 0.05, "of the table's plane, which is found in noise"
+    ggcnn, above = rows[0], rows[1]
+    assert np.hypot(ggcnn["row"] - above["row"], ggcnn["column"] - above["column"]) < 2.0, "one place, two approaches"
+    assert 20 < ggcnn["row"] < 280 and 20 < ggcnn["column"] < 280 and 10.0 < ggcnn["width"] < 150.0
     text = evaluate_poses.report(tmp_path, rows, methods)
     assert all(f"| {method} |" in text for method in methods)
     assert (tmp_path / "reliability.png").stat().st_size > 1000

@@ -24,6 +24,7 @@ class FailedGrasp(NamedTuple):
     heights: np.ndarray  # above the table, of the network's image, shape (h, w) [m]
     peak: Peak | None  # in that image, None where there was no grasp
     opening: float  # [m]
+    tilt: float = 0.0  # of the approach from straight down [rad]
 
 
 def failure_sheet(path: Path, method: str, tried: int, reasons: Sequence[str], shown: Sequence[FailedGrasp]) -> None:
@@ -55,6 +56,7 @@ def failure_sheet(path: Path, method: str, tried: int, reasons: Sequence[str], s
             for x, y, width in _lines(grasp.peak):
                 axes.plot(x, y, color="tab:red", linewidth=width)
             text += f"\nquality {grasp.peak.quality:.2f}, open {1000.0 * grasp.opening:.0f} mm"
+            text += f", {np.degrees(grasp.tilt):.0f} deg" if grasp.tilt else ""
         axes.set_title(text, fontsize=7)
     figure.savefig(path, dpi=100)
 

@@ -136,7 +136,7 @@ def failed_grasp(task: FailureTask) -> sheets.FailedGrasp:
     seen = view(task.split, number, object_count(number))
     heights = points(prepare(seen.observed, trials.CROP).depth, seen.camera)[..., 2]
     peak = maps.Peak(*(row[name] for name in maps.Peak._fields)) if row["found"] else None
-    return sheets.FailedGrasp(number, row["reason"], heights, peak, row["opening"])
+    return sheets.FailedGrasp(number, row["reason"], heights, peak, row["opening"], row.get("tilt", 0.0))
 
 
 def _prepare_process() -> None:
@@ -158,14 +158,19 @@ def report(folder: Path, split: str, rows: list[dict], networks: list[str], proc
     of = {name: [row for row in rows if row["method"] == name] for name in drawn}
     reliable = {name: ([r["quality"] for r in own], [r["lifted"] for r in own]) for name, own in of.items()}
     sheets.reliability_plot(folder / "reliability.png", reliable)
-    failed = {name: [row for row in own if row["reason"] != LIFTED] for name, own in of.items()}
-    tasks = [FailureTask(split, row) for name in drawn for row in failed[name][: sheets.MOST]]
+    draw_failures(folder, split, of, processes)
+
+
+def draw_failures(folder: Path, split: str, rows: Mapping[str, Sequence[Mapping[str, Any]]], processes: int) -> None:
+    """Draws the failed grasps of each method into failures_METHOD.png; `rows`: results by method."""
+    failed = {name: [row for row in own if row["reason"] != LIFTED] for name, own in rows.items()}
+    tasks = [FailureTask(split, row) for own in failed.values() for row in own[: sheets.MOST]]
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         pictures = iter(list(tqdm(pool.imap(failed_grasp, tasks), total=len(tasks), unit="picture")))
-    for name in drawn:
-        shown = [next(pictures) for _ in failed[name][: sheets.MOST]]
+    for name, own in failed.items():
+        shown = [next(pictures) for _ in own[: sheets.MOST]]
         path = folder / f"failures_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.png"
-        sheets.failure_sheet(path, name, len(of[name]), [row["reason"] for row in failed[name]], shown)
+        sheets.failure_sheet(path, name, len(rows[name]), [row["reason"] for row in own], shown)
 
 
 def export(path: Path, tasks: Sequence[Task], processes: int) -> None:

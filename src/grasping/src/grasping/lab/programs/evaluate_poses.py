@@ -25,7 +25,7 @@ from common.poses import pose
 from grasping.lab.evaluation import sheets, tables, trials
 from grasping.lab.evaluation.antipodal import antipodal_grasp
 from grasping.lab.evaluation.lifting import lift
-from grasping.lab.programs.evaluate import SPLITS, object_count, open_results
+from grasping.lab.programs.evaluate import SPLITS, draw_failures, object_count, open_results
 from grasping.lab.programs.make_attempts import lift_network
 from grasping.lab.programs.make_attempts import network as ggcnn
 from grasping.lab.programs.make_dataset import ignore_warning
@@ -34,9 +34,9 @@ from grasping.lab.synthetic.pose_labels import meant
 from grasping.lab.synthetic.samples import GRIPPER, SceneView, view
 from grasping.lab.synthetic.samples import SPLITS as ALL_SPLITS
 from grasping.network import maps, weights
-from grasping.pipeline.projection import CameraGrasp, along, project_grasp
+from grasping.pipeline.projection import CameraGrasp, along, project_grasp, seen_by
 from grasping.poses.chooser import ImageMaps, choose
-from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD
+from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, pixels_of
 from grasping.poses.lift_network import loaded
 
 ALONE = "GG-CNN along the camera's axis"
@@ -47,7 +47,7 @@ ALL = ALONE, ABOVE, CLOUD
 WAYS = {"from above": ABOVE_RAD, "tilted": MAX_TILT_RAD}
 """Greatest tilt [rad] of what a network of lifts may take."""
 VALIDATION = tuple(name for name in ALL_SPLITS if name.startswith("validation_"))
-COLUMNS = ("scene", "objects", "method", "lifted", "reason", "quality", "tilt", "opening")
+COLUMNS = ("scene", "objects", "method", "found", "lifted", "reason", "tilt", "opening", *maps.Peak._fields)
 
 
 class PoseTrialTask(NamedTuple):
@@ -74,24 +74,25 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
     mujoco.set_mju_user_warning(ignore_warning)
     seen = view(task.split, task.number, object_count(task.number))
     friction, miss = trials.drawn(task.number, trials.USUAL)
+    of = image_maps(seen, ggcnn(task.ggcnn))
     T_world_camera = pose(seen.camera.R, seen.camera.position)
     rows = []
-    for method, chosen in _chosen(task, seen).items():
-        row = {"scene": task.number, "objects": len(seen.scene.objects), "method": method}
+    for method, chosen in _chosen(task, seen, of).items():
+        row = {"scene": task.number, "objects": len(seen.scene.objects), "method": method, "found": chosen is not None}
         if chosen is None:
-            rows.append({**row, "lifted": False, "reason": NO_GRASP, "quality": 0.0, "tilt": 0.0, "opening": 0.0})
+            nothing = maps.Peak(0, 0, 0.0, 0.0, 0.0)
+            rows.append({**row, "lifted": False, "reason": NO_GRASP, "tilt": 0.0, "opening": 0.0, **nothing._asdict()})
             continue
         T = T_world_camera @ chosen.T_camera_grasp
         target = meant(task.split, seen.scene, T)
         result = lift(seen.scene, T @ miss, chosen.opening, GRIPPER, friction, target, shake=True)
         tilt = float(np.arccos(np.clip(-T[2, 2], -1.0, 1.0)))
-        said = {"quality": chosen.quality, "tilt": tilt, "opening": chosen.opening}
+        said = {"tilt": tilt, "opening": chosen.opening, **_peak(chosen, of)._asdict()}
         rows.append({**row, "lifted": result.lifted, "reason": result.reason, **said})
     return rows
 
 
-def _chosen(task: PoseTrialTask, seen: SceneView) -> dict[str, ChosenPose | None]:
-    of = image_maps(seen, ggcnn(task.ggcnn))
+def _chosen(task: PoseTrialTask, seen: SceneView, of: ImageMaps) -> dict[str, ChosenPose | None]:
     peak = maps.highest(of.maps)
     where = _projected(of, peak, seen)
     above = None if where is None else along(where, of.frame().R[:, 2], of.camera)
@@ -118,6 +119,14 @@ def _projected(of: ImageMaps, peak: maps.Peak, seen: SceneView) -> CameraGrasp |
 
 def _pose(grasp: CameraGrasp | None, peak: maps.Peak) -> ChosenPose | None:
     return None if grasp is None else ChosenPose(grasp.T_camera_grasp, grasp.width, peak.quality)
+
+
+def _peak(chosen: ChosenPose, of: ImageMaps) -> maps.Peak:
+    """Returns the grasp in the network's image."""
+    T = chosen.T_camera_grasp
+    (row,), (column,), _ = pixels_of(T[None, :3, 3], of.image, of.camera)
+    angle, _, width = seen_by(of.camera, T, chosen.opening)
+    return maps.Peak(int(row), int(column), chosen.quality, angle, width * len(of.image.depth) / of.image.crop.side)
 
 
 def report(folder: Path, rows: list[dict[str, Any]], methods: list[str]) -> str:
@@ -191,3 +200,5 @@ def main() -> None:
     settings["weights"] = hashes
     (given.folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
     sys.stdout.write(report(given.folder, rows, methods))
+    drawn = {name: [row for row in rows if row["method"] == name] for name in methods}
+    draw_failures(given.folder, given.split, drawn, given.processes)
