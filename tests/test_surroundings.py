@@ -98,6 +98,7 @@ PROGRAMS = [
     Program("leap_rig/misplaced_arguments.py", ("1",), ALONE),
     Program("leap_rig/operator_view_node.py"),
     Program("leap_rig/record.py", ("run", "--seconds", "1")),
+    Program("leap_rig/record_episodes.py", ("run", "--task", "x")),
     Program("leap_rig/relay.py", ("serve", "--port", "0", "--key", "{images}/none", "--page", "cockpit=1"), ALONE),
     Program("leap_rig/replay.py", ("{images}/none", "--view"), ALONE),
     Program("leap_rig/ros2_bridge.py"),

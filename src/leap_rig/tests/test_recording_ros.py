@@ -22,7 +22,7 @@ from common.ros.conversions import stamped_transform
 from leap_motion.msg import RawFrame
 from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages, verify
 from leap_rig.recording.ros import record_program
-from leap_rig.recording.ros.record_program import Inbox, _end, _files, _LiveLine, _parser, _store
+from leap_rig.recording.ros.record_program import Inbox, _end, _files, _LiveLine, _parser, store
 from rig_msgs.msg import SentGoals
 
 pytestmark = pytest.mark.ros
@@ -107,7 +107,7 @@ def test_a_slow_disk_is_reported_with_the_next_chunk(tmp_path):
     for rounds in (1, 2, 3):
         inbox.put("/a", kind, bytes(60))
         inbox.put("/a", kind, bytes(60))  # for which there is no room
-        _store(inbox, writer)
+        store(inbox, writer)
         assert len(list(messages(tmp_path / "run" / "messages.mcap"))) == rounds
         assert verify(tmp_path / "run")[0]["dropped"] == {"/a": rounds}
 
@@ -115,7 +115,7 @@ def test_a_slow_disk_is_reported_with_the_next_chunk(tmp_path):
 def test_what_comes_after_the_last_chunk_is_not_called_recorded(tmp_path, capsys):
     writer, inbox, kind = RecordingWriter(tmp_path / "run", {}, {}, 1, 4096), Inbox(), MessageKind("a/B", "")
     inbox.put("/a", kind, bytes(60))
-    _store(inbox, writer)
+    store(inbox, writer)
     inbox.put("/a", kind, bytes(60))
     assert _end(writer, inbox, _LiveLine(inbox, writer), "the test", tmp_path / "run", 0) == 0
     assert len(list(messages(tmp_path / "run" / "messages.mcap"))) == 1

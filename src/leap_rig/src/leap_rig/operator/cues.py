@@ -7,6 +7,7 @@ from __future__ import annotations
 import io
 import math
 import wave
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -26,11 +27,22 @@ class Sound(Enum):
     STOP = "stop"
 
 
-NOTES = {
+class Beep(Enum):
+    """The sounds of an episode."""
+
+    COUNT = "count"
+    BEGIN = "begin"
+    END = "end"
+
+
+NOTES: Mapping[Sound | Beep, tuple[tuple[float, float], ...]] = {
     Sound.LIMIT: ((1175.0, 0.06),),
     Sound.RELEASE: ((880.0, 0.09), (587.0, 0.13)),
     Sound.ENGAGE: ((587.0, 0.09), (880.0, 0.13)),
     Sound.STOP: ((330.0, 0.1), (247.0, 0.1), (330.0, 0.1)),
+    Beep.COUNT: ((698.0, 0.08),),
+    Beep.BEGIN: ((1047.0, 0.25),),
+    Beep.END: ((698.0, 0.1), (523.0, 0.15)),
 }
 """Pitch [Hz] and length [s], one after the other; shorter than GAP_S together."""
 
@@ -74,7 +86,7 @@ class Sounds:
         return self._waiting is not Sound.STOP and (sound is not Sound.LIMIT or self._waiting is None)
 
 
-def wav(sound: Sound) -> bytes:
+def wav(sound: Sound | Beep) -> bytes:
     """Returns a sound as a WAV file: one channel of 16 bits."""
     samples = np.concatenate([_note(*note) for note in NOTES[sound]])
     file = io.BytesIO()

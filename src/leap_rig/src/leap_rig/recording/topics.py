@@ -23,7 +23,7 @@ STATES = (
     *(JOINTS, "/kuka/joint_torques_external", "/kuka/joint_torques_measured", "/kuka/flange_force"),
     *("/kuka/flange_torque", "/kuka/mode", "/kuka/status", "/kuka/guard", "/kuka/move/result", HAND_STATE),
     *("/leap_kuka/stream", "/leap_kuka/state", "/operator_view/rows", "/grasping/state", "/grasping/outcome"),
-    *("/diagnostics", "/rosout", "/simulation/status", "/simulation/scenario"),
+    *("/diagnostics", "/rosout", "/simulation/status", "/simulation/scenario", "/simulation/object_states"),
 )
 VIEW = (
     *(TF, "/tf_static", "/joint_states", "/kuka/workspace", "/kuka/guard_markers", "/leap_kuka/interaction_box"),

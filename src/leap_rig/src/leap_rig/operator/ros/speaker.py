@@ -7,7 +7,7 @@ import subprocess
 import rospy
 
 from common import clock
-from leap_rig.operator.cues import Sound, wav
+from leap_rig.operator.cues import Beep, Sound, wav
 
 LONGEST_S = 3.0
 
@@ -20,7 +20,7 @@ class Speaker:
         self._busy = clock.Lock()
         self.silent = False  # after a failure
 
-    def play(self, sound: Sound) -> None:
+    def play(self, sound: Sound | Beep) -> None:
         """Starts the sound; leaves it out while the one before still plays, or after a failure."""
         if not self.silent and self._busy.acquire(blocking=False):
             clock.Thread(target=self._run, args=(wav(sound),), name="sound", daemon=True).start()

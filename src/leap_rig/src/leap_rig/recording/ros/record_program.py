@@ -13,6 +13,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,7 @@ class Inbox:
         self._limit, self._bytes = limit, 0
         self._lock = clock.Lock()
         self._waiting: list[StoredMessage] = []
+        self._latched: dict[tuple[str, str], StoredMessage] = {}
         self._start, self._zero = clock.time_ns(), clock.monotonic_ns()
         self.received: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
@@ -65,8 +67,11 @@ class Inbox:
         """The time [ns]; a step of the clock during a recording does not matter."""
         return self._start + clock.monotonic_ns() - self._zero
 
-    def put(self, topic: str, kind: MessageKind, data: bytes) -> None:
+    def put(self, topic: str, kind: MessageKind, data: bytes, origin: str = "") -> None:
+        """Takes a message of the node `origin`."""
         with self._lock:
+            if kind.is_latched:
+                self._latched[topic, origin] = StoredMessage(topic, kind, self.now, data)
             self.received[topic] += 1
             if self._bytes + len(data) > self._limit:
                 self.dropped[topic] += 1
@@ -78,6 +83,14 @@ class Inbox:
         with self._lock:
             taken, self._waiting, self._bytes = self._waiting, [], 0
         return taken
+
+    def take_latched(self) -> list[StoredMessage]:
+        """Drops what waits, and returns the newest latched messages instead, as if they came now: what a recording that
+        begins in the midst would lack. Counts anew."""
+        with self._lock:
+            self._waiting, self._bytes = [], 0
+            self.received, self.dropped = Counter(), Counter()
+            return [replace(one, received=self.now) for one in self._latched.values()]
 
 
 def main() -> None:
@@ -96,15 +109,14 @@ def record(options: argparse.Namespace) -> int:
     # An exception in the midst of a write would leave a file that differs from its hash.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
-    writer = RecordingWriter(folder, _about(options, parameters), _files(parameters), inbox.now, options.reserve)
-    for topic in dict.fromkeys((*recorded(options.camera), *options.topic)):
-        _subscribe(topic, inbox)
+    writer = writer_of(folder, options, parameters, inbox.now)
+    subscribe(inbox, options)
     live, ended_by, began = _LiveLine(inbox, writer), "", clock.monotonic()
     try:
         while not ended_by:
             if interrupted.wait(flush_s):
                 ended_by = "Ctrl-C"
-            _store(inbox, writer)
+            store(inbox, writer)
             live.update(clock.monotonic() - began)
             if not ended_by and options.seconds is not None and clock.monotonic() - began >= options.seconds:
                 ended_by = f"the end of {options.seconds:g} s"
@@ -116,7 +128,13 @@ def record(options: argparse.Namespace) -> int:
     return code
 
 
-def _store(inbox: Inbox, writer: RecordingWriter) -> None:
+def writer_of(folder: Path, options: argparse.Namespace, parameters: dict[str, Any], now: int) -> RecordingWriter:
+    """Returns the writer of a recording that begins `now` [ns]; raises RecordingFault."""
+    return RecordingWriter(folder, _about(folder, options, parameters), _files(parameters), now, options.reserve)
+
+
+def store(inbox: Inbox, writer: RecordingWriter) -> None:
+    """Brings what waits to the disk; raises OSError if the disk does not take it."""
     for message in inbox.take():
         writer.add(message)
     writer.flush(dict(inbox.dropped))
@@ -135,6 +153,12 @@ def _end(writer: RecordingWriter, inbox: Inbox, live: _LiveLine, ended_by: str, 
     return code
 
 
+def subscribe(inbox: Inbox, options: argparse.Namespace) -> None:
+    """Lets the inbox receive what the options ask for."""
+    for topic in dict.fromkeys((*recorded(options.camera), *options.topic)):
+        _subscribe(topic, inbox)
+
+
 def _subscribe(topic: str, inbox: Inbox) -> rospy.Subscriber:
     read_bytes = 4 * 2**20  # of a subscriber's buffer: rospy's own is smaller than an image
     kinds: dict[tuple[str, str], MessageKind] = {}
@@ -144,7 +168,7 @@ def _subscribe(topic: str, inbox: Inbox) -> rospy.Subscriber:
         key = header["md5sum"], header.get("latching", "0")
         if key not in kinds:
             kinds[key] = MessageKind(header["type"], header["message_definition"], key[0], key[1] == "1")
-        inbox.put(topic, kinds[key], data_of(message))
+        inbox.put(topic, kinds[key], data_of(message), header.get("callerid", ""))
 
     return rospy.Subscriber(topic, rospy.AnyMsg, take, buff_size=read_bytes)
 
@@ -190,13 +214,13 @@ def _topic(text: str) -> str:
     return text if text.startswith("/") else f"/{text}"
 
 
-def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str, Any]:
+def _about(folder: Path, options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str, Any]:
     kuka = parameters.get("kuka", {})
     kuka = kuka if isinstance(kuka, dict) else {}
     values, files = started_with(kuka)
     robot = {"address": address(kuka), **fingerprint(values, lambda path: files.get(path) or file_hash(path))}
     return {
-        "name": folder_of(options.name).name,
+        "name": folder.name,
         "task": options.task,
         "camera": options.camera,
         "started": utc(clock.time()),
@@ -284,11 +308,16 @@ def _without_secrets(value: Any) -> Any:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="record.py", description="Records a run of the rig; Ctrl-C ends it.")
     parser.add_argument("name", help="of the recording, in ~/.ros/leap_rig/recordings; or a path, with a slash")
-    parser.add_argument("--camera", choices=CAMERA, default="off", help="images to record (default: off)")
     parser.add_argument(
         "--seconds", type=real(0.0, math.inf, open_low=True), help="record for so long; without it until Ctrl-C"
     )
     parser.add_argument("--task", default="", help="what is done, in a sentence; exports to LeRobot need it")
+    add_content(parser)
+    return parser
+
+
+def add_content(parser: argparse.ArgumentParser) -> None:
+    """Adds what is recorded."""
+    parser.add_argument("--camera", choices=CAMERA, default="off", help="images to record (default: off)")
     parser.add_argument("--topic", nargs="*", type=_topic, default=[], help="further topics")
     parser.add_argument("--reserve", type=int, default=16 * 2**20, help=argparse.SUPPRESS)
-    return parser
