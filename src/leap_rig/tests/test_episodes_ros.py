@@ -7,7 +7,7 @@ import signal
 import pytest
 
 from common import clock
-from leap_rig.recording.recording_files import messages, verify
+from leap_rig.recording.recording_files import MessageKind, messages, verify
 from leap_rig.recording.session import FAILURE, SUCCESS, UNFINISHED, chosen, episode_folder, episode_folders, read_label
 
 pytest.importorskip("rig_msgs.srv")
@@ -24,6 +24,7 @@ from leap_motion.msg import Hand, Human
 from leap_rig.operator.cues import Beep
 from leap_rig.operator.ros.speaker import Speaker
 from leap_rig.recording.ros import record_program
+from leap_rig.recording.ros.record_program import Inbox
 from rig_msgs.msg import ObjectState, ObjectStates
 
 pytestmark = pytest.mark.ros
@@ -96,6 +97,8 @@ def test_an_episode_is_a_recording_with_a_label(program, objects, ros, tmp_path)
         goals.publish(True)
         objects(0.06, ["reflex/distal_1"])
         clock.sleep(0.1)
+    clock.sleep(0.5)
+    assert topics_of(first).count("/kuka/gripper_control") == 5, "on the disk while it runs"
     assert mark("begin")[0] is False
     assert mark("success") == (True, "Episode 0 has ended: success.")
     goals.publish(True)  # after the episode
@@ -115,14 +118,28 @@ def test_an_episode_is_a_recording_with_a_label(program, objects, ros, tmp_path)
     assert {v.key: v.value for v in state[-1].values} == {"episode": "1", "running": "False", "failure": "1"}
 
 
-def test_a_second_episode_has_what_was_latched_before_the_first(program, ros, tmp_path):
-    for _ in range(2):
+def test_a_second_episode_has_what_was_latched_before_the_first_and_is_judged_by_itself(program, objects, tmp_path):
+    for number in range(2):
         assert mark("begin")[0]
         clock.sleep(2.0)
+        if number == 0:
+            objects(0.06, ["reflex/distal_1"])
         assert mark("failure")[0]
     session = tmp_path / "session"
+    assert [read_label(folder).measured for folder in episode_folders(session)] == [SUCCESS, ""]
     assert [topics_of(episode_folder(session, i)).count("/kuka/mode") for i in range(2)] == [1, 1]
     assert "The objects stay where they are" in program.log, "nothing resets this world"
+
+
+def test_what_waits_from_before_an_episode_is_not_in_it():
+    inbox, kind = Inbox(), MessageKind("a/B", "", is_latched=True)
+    inbox.put("/a", MessageKind("a/B", ""), b"1")
+    for origin, data in (("/one", b"2"), ("/other", b"3"), ("/one", b"4")):
+        inbox.put("/b", kind, data, origin)
+    before = inbox.now
+    latched = inbox.take_latched()
+    assert sorted(one.data for one in latched) == [b"3", b"4"] and all(one.received >= before for one in latched)
+    assert inbox.take() == [] and not inbox.received
 
 
 def test_a_discarded_episode_stays_but_is_not_chosen(program, tmp_path):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from recordings import START, stored, write_recording
 
 from common.poses import pose
@@ -29,6 +30,7 @@ from leap_rig.recording.recording_files import (
 )
 from leap_rig.recording.ros1 import MessageFault, decoder
 from leap_rig.recording.run import RecordedRun
+from leap_rig.recording.session import EpisodeFault, EpisodeLabel, episode_folder, write_label
 from leap_rig.recording.topics import JOINTS, RAW_FRAMES, SENT_GOALS
 
 ROOT = Path(__file__).parents[3]
@@ -372,6 +374,26 @@ def test_frames_are_counted_as_they_are_written(tmp_path, capsys):
     with gzip.open(tmp_path / "f.jsonl.gz", "rb") as file:
         lines = file.read().splitlines()
     assert lines == [b'{"hands":[]}', b'{"hands": [1]}'] and "Wrote 2 frames" in capsys.readouterr().out
+
+
+@pytest.mark.ros
+def test_of_a_session_the_successes_are_exported(tmp_path):
+    from std_msgs.msg import String
+
+    for number, said in enumerate(("success", "failure", "discarded")):
+        folder = episode_folder(tmp_path / "session", number)
+        write_recording(folder, [stored("/a", String(said), 0.1 * i) for i in range(3)])
+        write_label(folder, EpisodeLabel(said))
+    for options, expected in (({}, "success"), ({"outcome": "failure"}, "failure")):
+        file = tmp_path / f"{expected}.mcap"
+        assert exported(tmp_path / "session", mcap=file, **options) == 0
+        with file.open("rb") as opened:
+            data = {message.data[4:] for _, _, message in make_reader(opened).iter_messages()}
+        assert data == {expected.encode()}
+    with pytest.raises(RecordingFault, match="One file holds one recording"):
+        exported(tmp_path / "session", tmp_path / "session", mcap=tmp_path / "both.mcap")
+    with pytest.raises(EpisodeFault, match="none is labelled unfinished"):
+        exported(tmp_path / "session", mcap=tmp_path / "none.mcap", outcome="unfinished")
 
 
 @pytest.mark.ros

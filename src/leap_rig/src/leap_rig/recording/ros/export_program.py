@@ -30,6 +30,7 @@ from leap_rig.recording.recording_files import (
     write_mcap,
 )
 from leap_rig.recording.run import RecordedRun, read
+from leap_rig.recording.session import OUTCOMES, SUCCESS, chosen, episode_folders
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.{}_export import main; main()"
@@ -44,7 +45,7 @@ def main() -> None:
 
 def export(options: argparse.Namespace) -> int:
     _refuse_unheeded(options)
-    folders = [folder_of(name) for name in options.names]
+    folders = [one for name in options.names for one in _recordings(folder_of(name), options.outcome)]
     for folder in folders:
         manifest, remark = verify(folder)
         if remark:
@@ -72,6 +73,13 @@ def export(options: argparse.Namespace) -> int:
     count = write_mcap(options.mcap, between(folder, options.topic, options.start, options.end), files)
     print(f"Wrote {count} messages to {options.mcap}.")
     return 0
+
+
+def _recordings(folder: Path, outcomes: list[str] | None) -> list[Path]:
+    """Returns a recording, or of a session of episodes those with these outcomes; raises EpisodeFault for none."""
+    if (folder / MANIFEST).exists() or not episode_folders(folder):
+        return [folder]
+    return chosen(folder, tuple(outcomes or (SUCCESS,)))
 
 
 def _to_csv(run: RecordedRun, folder: Path) -> int:
@@ -155,7 +163,9 @@ def _elsewhere(name: str, target: str, given: Path | None, request: dict[str, An
 def _parser() -> argparse.ArgumentParser:
     most_fps = 1000
     parser = argparse.ArgumentParser(prog="export_recording.py", description="Exports recordings for other tools.")
-    parser.add_argument("names", nargs="+", metavar="NAME", help="recordings; several are episodes of one dataset")
+    parser.add_argument("names", nargs="+", metavar="NAME", help="recordings, or sessions; several are one dataset")
+    only = "episodes of a session with this outcome (default: success)"
+    parser.add_argument("--outcome", choices=OUTCOMES, action="append", help=only)
     to = parser.add_mutually_exclusive_group(required=True)
     to.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file with messages of ROS 1, for Foxglove")
     to.add_argument("--ros2", type=Path, metavar="DIR", help="a bag with messages of ROS 2, for its tools")
