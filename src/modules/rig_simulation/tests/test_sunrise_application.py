@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
+from rig_simulation.devices.sunrise.leap_rig import LeapRigApplication
 from rig_simulation.devices.sunrise.robot import Drives, Robot
 from rig_simulation.files import read_urdf
 
@@ -23,10 +25,11 @@ TICK_S = 0.004
 class Wire:
     """A client of an application whose time it turns itself."""
 
-    def __init__(self, wiped_window=0.0, version=VERSIONS[-1], **arm_settings):
+    def __init__(self, wiped_window=0.0, version=VERSIONS[-1], leap_rig=False, **arm_settings):
         self.arm = SimulatedArm(ROBOT, ArmSettings(**arm_settings))
         self.panel = ControllerIO()
-        self.application = Application(self.arm, self.panel, wiped_window, version=version)
+        toolbox = {"wiped_window": wiped_window, "version": version}
+        self.application = (LeapRigApplication if leap_rig else partial(Application, **toolbox))(self.arm, self.panel)
         self.now = 0.0
         self.came = []
 
@@ -109,9 +112,10 @@ def assert_same_reply(reply, expected, in_servo, request):
         assert_allclose(mine, theirs, atol=0.02 if in_servo else 1e-9)
 
 
+@pytest.mark.parametrize("leap_rig", [False, True])
 @pytest.mark.parametrize("name", ["ptp", "servo", "errors"])
-def test_recorded_sessions_repeat(shared_data, name):
-    wire = Wire(speed_limit=10.0)
+def test_recorded_sessions_repeat(shared_data, name, leap_rig):
+    wire = Wire(speed_limit=10.0, leap_rig=leap_rig)
     in_servo, moving, request = False, False, ""
     last = 0.0
     for seconds, direction, text in transcript(shared_data / "kst" / f"{name}.txt"):

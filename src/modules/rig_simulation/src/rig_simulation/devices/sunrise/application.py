@@ -28,6 +28,7 @@ VERSIONS = ("1.7", "2019-03", "2019-05")
 Command = Callable[[List[str]], str]  # takes the words of a line behind its command; returns what to answer at once
 Planner = Callable[[SimulatedArm, Goals], Optional[JointMove]]
 Condition = Callable[[SimulatedArm], bool]
+Break = Callable[[SimulatedArm], str]  # returns what breaks the motion, empty: nothing
 
 
 @dataclasses.dataclass
@@ -69,7 +70,7 @@ class Application:
         self._refused = False  # the motion, and its last word is to come
         self._last_word = -math.inf  # not before this time [s]
         self._word, self._keeps_word = "", False  # the last line; whether a motion leaves it to the main thread
-        self._break_when: Condition | None = None
+        self._break_when: Break | None = None
         self._arrived: Condition = lambda _: True
         self._servo_starts: float | None = None
         self._reader = self._reader_commands()
@@ -125,7 +126,7 @@ class Application:
                     try:
                         self._replies.append(command(words))
                     except (ValueError, IndexError):
-                        self._arm.attach(np.eye(4))
+                        self._forget_tool()
                         self._replies.append(NAK)
                 return
 
@@ -138,16 +139,26 @@ class Application:
         if self._accepted is not None:
             self._start_motion(self._accepted)
         if self.mode == "ptp" and not self.in_motion and now >= self._last_word:
-            self.mode = "idle"
-            arrived = NAK if self._refused else DONE if self._arrived(self._arm) else INTERRUPTED
-            if not self._ends_tacitly():
-                self._replies.append(arrived)
-            if self._keeps_word and not self._refused:
-                self._answer_in_main(self._word, _words(self._word))
-            else:
-                self._main_answered = now
+            self._finish_motion(now)
         elif self.mode == "servo" and self._servo_starts is None and not self._arm.in_servo and self._arm.resting:
             self.mode = "idle"
+
+    def _finish_motion(self, now: float) -> None:
+        self.mode = "idle"
+        if not self._ends_tacitly():
+            self._replies.append(self._result())
+        if self._keeps_word and not self._refused:
+            self._answer_in_main(self._word, _words(self._word))
+        else:
+            self._main_answered = now
+
+    def _result(self) -> str:
+        """Returns the last word of the motion that has ended or is refused."""
+        return NAK if self._refused else DONE if self._arrived(self._arm) else INTERRUPTED
+
+    def _forget_tool(self) -> None:
+        """Attaches the flange, as the published server does after whatever it refuses."""
+        self._arm.attach(np.eye(4))
 
     def _reader_commands(self) -> list[tuple[str, Command]]:
         output_pins = (1, 2, 11, 12)
@@ -237,7 +248,7 @@ class Application:
         self._goals.speed = java_text.number(words[0])
         return DONE
 
-    def _move(self, make: Planner, break_when: Condition | None = None, arrived: Condition = lambda _: True) -> str:
+    def _move(self, make: Planner, break_when: Break | None = None, arrived: Condition = lambda _: True) -> str:
         """Accepts the motion; before the next line it is planned, and starts or is refused."""
         self.mode, self._refused, self._keeps_word, self._word = "ptp", False, False, ""
         self._last_word = self._now + LAST_WORD_S
@@ -253,7 +264,7 @@ class Application:
                 raise Unreachable("the motion is refused")
             motion = make(self._arm, self._goals)
         except ValueError:
-            self._arm.attach(np.eye(4))
+            self._forget_tool()
             self._refused = True
             self._last_word += refusal_s - LAST_WORD_S
             return

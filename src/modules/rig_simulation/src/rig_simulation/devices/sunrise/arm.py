@@ -69,8 +69,11 @@ class SimulatedArm:
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
         self._law = LAWS[settings.servo_law]
         self.in_servo = False  # whether the servo mode runs
+        self.destination: np.ndarray | None = None  # of the servo mode in place of its law's, shape (7,) [rad]
+        self._known: list[tuple[float, np.ndarray]] = [(0.0, np.zeros(3))] * 2  # that it reckons with
         self._motion: JointMove | None = None
-        self._break_when: Callable[[SimulatedArm], bool] | None = None
+        self._break_when: Callable[[SimulatedArm], str] | None = None
+        self.broken_by = ""  # what broke the last planned motion
         self._motion_time, self._motion_rate = 0.0, 1.0
         self._breaking = False
         self._joint_torque, self._tool_force, self._touch_torque = np.zeros(7), np.zeros(3), np.zeros(7)
@@ -134,9 +137,10 @@ class SimulatedArm:
         """Whether a planned motion is under way, also while a safety stop pauses it."""
         return self._motion is not None
 
-    def start_motion(self, motion: JointMove, break_when: Callable[[SimulatedArm], bool] | None = None) -> None:
-        """Starts a planned motion from the present joint angles; it brakes and ends once `break_when` is true."""
-        self._motion, self._break_when = motion, break_when
+    def start_motion(self, motion: JointMove, break_when: Callable[[SimulatedArm], str] | None = None) -> None:
+        """Starts a planned motion from the present joint angles; it brakes and ends once `break_when` says what it is
+        broken by."""
+        self._motion, self._break_when, self.broken_by = motion, break_when, ""
         self._motion_time, self._breaking = 0.0, False
         self._motion_rate = 1.0 if self.safety_stop is None else 0.0
         self._check_safety()
@@ -147,15 +151,21 @@ class SimulatedArm:
 
     def start_servo(self) -> None:
         """Starts the servo mode with the present joint angles as goal."""
-        self.in_servo = True
+        self.in_servo, self.destination = True, None
         self.goal = self.q.copy()
 
     def stop_servo(self) -> None:
         self.in_servo = False
 
     def attach(self, T_flange_tool: np.ndarray) -> None:
-        """Attaches a tool without mass, shape (4, 4), in place of the last one."""
+        """Attaches a tool, shape (4, 4), in place of the last one."""
         self.T_flange_tool = read_only(T_flange_tool)
+        self._check_safety()
+
+    def state_load(self, tool: tuple[float, np.ndarray], load: tuple[float, np.ndarray]) -> None:
+        """Takes which tool and which held load the controller reckons with: mass [kg], centre of mass in the flange
+        frame, shape (3,) [m]."""
+        self._known = [tool, load]
         self._check_safety()
 
     def set_external_torque(self, torque: np.ndarray) -> None:
@@ -213,12 +223,17 @@ class SimulatedArm:
     @property
     def external_torques(self) -> np.ndarray:
         """External torques on the joints as the controller estimates them, shape (7,) [Nm]."""
-        return self._contact_torques + self._weight if self.settings.tool_weight else self._contact_torques
+        return self._with_weight(self._contact_torques)
 
-    @property
-    def _weight(self) -> np.ndarray:
-        """Torques of the hand's weight, shape (7,) [Nm]."""
-        return self.robot.weight(self.q, self._tool.mass, self._tool.com)
+    def _with_weight(self, torque: np.ndarray) -> np.ndarray:
+        """Returns the torques, shape (7,) [Nm], and with them those of the hand's weight, less what the controller
+        reckons with."""
+        tool, load = self._known
+        if self.settings.tool_weight:
+            torque = torque + self.robot.weight(self.q, self._tool.mass, self._tool.com)
+            if tool[0]:
+                torque = torque - self.robot.weight(self.q, *tool)
+        return torque - self.robot.weight(self.q, *load) if load[0] else torque
 
     @property
     def _contact_torques(self) -> np.ndarray:
@@ -236,15 +251,16 @@ class SimulatedArm:
     @property
     def _touch_wrench(self) -> np.ndarray:
         """Force and moment on the tool point that best explain the torques of touch and weight, shape (6,)."""
-        torque = self._touch_torque + self._weight if self.settings.tool_weight else self._touch_torque
+        torque = self._with_weight(self._touch_torque)
         if not torque.any():
             return np.zeros(6)
         return self.robot.wrench(self.q, self.T_flange_tool, torque)
 
     def _step_motion(self, motion: JointMove, dt: float) -> None:
         back_off_fraction = 0.1  # a planned motion backs off at this fraction of its speed
-        if self._break_when is not None and self._break_when(self):
-            self._breaking = True
+        if self._break_when is not None and not self.broken_by:
+            self.broken_by = self._break_when(self)
+            self._breaking = self._breaking or bool(self.broken_by)
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
         if self._still_backing_off(self._motion_time > 0.0):
             wanted = -back_off_fraction
@@ -281,7 +297,8 @@ class SimulatedArm:
                 self.in_servo = False
                 return
             self._checked_goal = self.goal
-        self._move(self._drives.towards(self._law(self.goal - self.q), self.v, dt), dt)
+        way = self._law(self.goal - self.q) if self.destination is None else self.destination - self.q
+        self._move(self._drives.towards(way, self.v, dt), dt)
 
     def _move(self, v: np.ndarray, dt: float) -> None:
         self.q = self.q + v * dt

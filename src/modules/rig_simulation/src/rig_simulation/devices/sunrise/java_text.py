@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 from decimal import Decimal
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +14,7 @@ _DECIMAL = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?[dDfF]?", re.ASCII)
 _HEXADECIMAL = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)[pP][+-]?\d+[dDfF]?", re.ASCII)
 _SPECIAL = re.compile(r"[+-]?(NaN|Infinity)")
 MAX_LINE_BYTES = 65536
+LONGEST_ROBOT_LINE = 1024
 _LINE_END = re.compile(rb"\r\n|[\n\r]|\xc2\x85|\xe2\x80[\xa8\xa9]")
 _BLANKS = "".join(map(chr, range(0x21)))
 
@@ -56,6 +58,13 @@ def number(source: str) -> float:
     raise ValueError(f"{source!r} is not a number")
 
 
+class LineSplitter(Protocol):
+    """Collects bytes."""
+
+    def feed(self, data: bytes) -> list[str]:
+        """Returns the lines that the new bytes complete."""
+
+
 class JavaLineSplitter:
     """Collects bytes; lines end with LF, CR LF, a lone CR, NEL, LS or PS."""
 
@@ -68,3 +77,16 @@ class JavaLineSplitter:
         if len(self._rest) > MAX_LINE_BYTES:
             raise ValueError(f"a line is longer than {MAX_LINE_BYTES} bytes")
         return [line.decode("utf-8", "replace") for line in lines if line]
+
+
+class RobotLineSplitter:
+    """The same for the robot application: lines end with LF or CR, and what is too long is dropped to its end."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> list[str]:
+        """Returns the lines that the new bytes complete, but empty and too long ones."""
+        *lines, rest = re.split(rb"[\n\r]", self._rest + data)
+        self._rest = rest[: LONGEST_ROBOT_LINE + 1]
+        return [line.decode("latin-1") for line in lines if 0 < len(line) <= LONGEST_ROBOT_LINE]

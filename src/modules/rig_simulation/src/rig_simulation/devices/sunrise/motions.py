@@ -64,14 +64,15 @@ def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
     return JointMove(arm.q, goals.joints, goals.speed * arm.robot.max_speed, arm.motion_acceleration)
 
 
-def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
-    """Returns the condition that interrupts a guarded motion. `ranges`: rows of joint index 0 to 6, lowest, highest
-    external torque, shape (n, 3) [Nm]."""
+def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], str]:
+    """Returns the condition that interrupts a guarded motion: it names the joint. `ranges`: rows of joint index 0 to 6,
+    lowest, highest external torque, shape (n, 3) [Nm]."""
     joints, low, high = ranges[:, 0].astype(int), ranges[:, 1], ranges[:, 2]
 
-    def condition(arm: SimulatedArm) -> bool:
+    def condition(arm: SimulatedArm) -> str:
         torque = arm.external_torques[joints]
-        return bool(np.any((torque < low) | (torque > high)))
+        left = (torque < low) | (torque > high)
+        return f"joint {joints[left.argmax()] + 1}" if left.any() else ""
 
     return condition
 

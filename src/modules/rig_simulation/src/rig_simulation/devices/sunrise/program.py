@@ -22,6 +22,7 @@ from common.command_line import (
 from common.errors import DeviceError
 from rig_simulation.devices.sunrise.application import VERSIONS
 from rig_simulation.devices.sunrise.arm import ArmEnvironment, ArmSettings, SimulatedArm
+from rig_simulation.devices.sunrise.leap_rig_server import LeapRigServer
 from rig_simulation.devices.sunrise.robot import LAWS, Robot
 from rig_simulation.devices.sunrise.server import AT_ONCE_S, ServerSettings, SunriseServer
 from rig_simulation.faults.arm import ARM_FAULTS
@@ -29,6 +30,7 @@ from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 
 NAME = "sunrise_controller"
+ROBOT_SERVERS = {"toolbox": SunriseServer, "leap_rig": LeapRigServer}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -63,7 +65,11 @@ def make_server(
     settings = ServerSettings(options.wiped_window, *lost_client, options.toolbox_version)
     arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, environment)
     ports = options.host, options.port, options.control_port
-    return SunriseServer(arm, settings, *ports, functools.partial(_log, name), now, at_once, lock)
+    toolbox_alone = options.wiped_window, options.deaf_after_lost_client, options.toolbox_version != VERSIONS[-1]
+    if options.robot_server != "toolbox" and any(toolbox_alone):
+        sides = "--wiped-window, --deaf-after-lost-client and --toolbox-version"
+        raise ValueError(f"{sides} are sides of the toolbox's server; leave them out with --robot-server leap_rig.")
+    return ROBOT_SERVERS[options.robot_server](arm, settings, *ports, functools.partial(_log, name), now, at_once, lock)
 
 
 def ready_line(server: SunriseServer, name: str = NAME) -> str:
@@ -84,6 +90,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     mounting = "orientation of the base in an upright world, deg, such as 180 0 0 on a ceiling; gravity follows it"
     rpy = ("ROLL", "PITCH", "YAW")
     add("--mounting", nargs=3, type=angle, default=(0.0, 0.0, 0.0), metavar=rpy, help=mounting)
+    server = "which application: toolbox, as of 2019, or leap_rig, which watches its client and stops what moves"
+    add("--robot-server", choices=ROBOT_SERVERS, default="toolbox", help=server)
     law = "how joint servo approaches a goal: lts = law of the published server, none = straight to the goal"
     add("--servo-law", choices=sorted(LAWS), default="lts", help=law)
     add("--trajectory-time", type=positive, default=0.04, help="minimum trajectory time of DirectServo, s")

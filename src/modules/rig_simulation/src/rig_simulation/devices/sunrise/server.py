@@ -24,10 +24,11 @@ from common.numbers import SWITCH_INTERVAL_S
 from rig_simulation.control_port import ControlPort, listen, within
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import SimulatedArm
-from rig_simulation.devices.sunrise.java_text import JavaLineSplitter
+from rig_simulation.devices.sunrise.java_text import JavaLineSplitter, LineSplitter
 from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
+SEND_TIMEOUT_S = 1.0
 AT_ONCE_S = 0.005  # longest lag that the arm makes up before an answer
 GOALS_AND_QUESTIONS = ("jp", "jf", "getJ", "Torques", "Eef_")  # these come many times a second
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
@@ -73,7 +74,7 @@ class SunriseServer:
         self.lock = lock or clock.RLock()  # held while the arm or its environment changes
         self._stop = clock.Event()
         self._client: socket.socket | None = None
-        self._lines = JavaLineSplitter()
+        self._lines: LineSplitter = JavaLineSplitter()
         self._deaf = self._missed = False
         self._reported_stops = 0
         self._selector = selectors.DefaultSelector()
@@ -143,13 +144,23 @@ class SunriseServer:
 
     def _start_application(self) -> None:
         assert self._listener is not None  # an application starts only while the port is open
-        settings, read = self._settings, self._encoders.read
-        refuses, ends_tacitly = (functools.partial(self.faults.is_on, name) for name in ("refused", "unfinished"))
-        self._application = Application(
-            self._arm, self._io, settings.wiped_window, read, settings.version, refuses, ends_tacitly
-        )
+        self._application = self._new_application()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = clock.monotonic()
+
+    def _new_application(self) -> Application:
+        settings, read = self._settings, self._encoders.read
+        return Application(self._arm, self._io, settings.wiped_window, read, settings.version, *self._refusals)
+
+    @property
+    def _refusals(self) -> Iterator[Callable[[], bool]]:
+        """Whether motions are refused, and whether they end tacitly."""
+        return (functools.partial(self.faults.is_on, name) for name in ("refused", "unfinished"))
+
+    @property
+    def _waits(self) -> bool:
+        """Whether it waits for a client."""
+        return self._listener is not None and self._listener in self._selector.get_map()
 
     def _wait(self) -> None:
         moving_tick_s = 0.004
@@ -165,21 +176,32 @@ class SunriseServer:
             if key.fileobj is self._listener:
                 self._accept()
             else:
-                self._receive()
+                self._hear(key.fileobj)
 
     def _accept(self) -> None:
-        send_timeout_s = 1.0
         assert self._listener is not None  # the selector reported it
         try:
-            self._client, address = self._listener.accept()
+            client, address = self._listener.accept()
         except OSError:
             return
-        self._delay_small_packets()
-        self._client.settimeout(send_timeout_s)
-        self._lines = JavaLineSplitter()
+        client.settimeout(SEND_TIMEOUT_S)
+        self._selector.register(client, selectors.EVENT_READ)
+        self._meet(client, f"{address[0]}:{address[1]}")
+
+    def _meet(self, client: socket.socket, name: str) -> None:
+        """Takes a new connection."""
+        self._serve_client(client, name, JavaLineSplitter())
+        assert self._listener is not None  # it accepted the connection
         self._selector.unregister(self._listener)
-        self._selector.register(self._client, selectors.EVENT_READ)
-        self._log(f"client {address[0]}:{address[1]} connected")
+
+    def _serve_client(self, client: socket.socket, name: str, lines: LineSplitter) -> None:
+        self._client, self._lines = client, lines
+        self._delay_small_packets()
+        self._log(f"client {name} connected")
+
+    def _hear(self, _: Any) -> None:
+        """Reads what a connection has to say."""
+        self._receive()
 
     def _receive(self) -> None:
         assert self._client is not None  # the selector reported it
@@ -191,6 +213,9 @@ class SunriseServer:
             return
         if not data:
             self._lose_client("it closed the connection without `end`")
+        self._take_lines(lines)
+
+    def _take_lines(self, lines: list[str]) -> None:
         for line in lines:
             with self.lock:
                 if not line.startswith(GOALS_AND_QUESTIONS):
@@ -231,17 +256,21 @@ class SunriseServer:
                 self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
             self._lose_client("its connection is cut" if cut else "the application stops")
         if restarted and self._listener is not None:
-            self._application.abandon()
-            if self._listener in self._selector.get_map():
-                self._selector.unregister(self._listener)
-            self._listener.close()
-            self._listener, self._deaf = None, False
+            self._close_port()
         elif not restarted and self._listener is None:
             with contextlib.suppress(DeviceError):  # another program may have taken the port for a moment
                 self._listener = listen(self.host, self.port, "the toolbox port")
                 self._listener.setblocking(False)
         elif cut and not restarted:
             self._reset_waiting_clients()
+
+    def _close_port(self) -> None:
+        self._application.abandon()
+        assert self._listener is not None  # it is closed once
+        if self._listener in self._selector.get_map():
+            self._selector.unregister(self._listener)
+        self._listener.close()
+        self._listener, self._deaf = None, False
 
     def _delay_small_packets(self) -> None:
         if self._client is not None:
@@ -251,7 +280,7 @@ class SunriseServer:
         window = self.faults.value("window")
         if window is None:
             self._missed = False
-        elif not self._missed and self._listener is not None and self._listener in self._selector.get_map():
+        elif not self._missed and self._waits:
             self._missed = clock.monotonic() - self._waiting_since > window
             if self._missed:
                 self._log(f"no client within {window:g} s; the application ends")
@@ -287,15 +316,18 @@ class SunriseServer:
     def _take_turns(self) -> None:
         if self._client is not None or self._deaf or self._listener is None:
             return
-        if self._listener in self._selector.get_map():
-            if clock.monotonic() - self._waiting_since > self._settings.wait_for_client:
-                self._log(f"no client connected within {self._settings.wait_for_client:g} s")
-                self._stop.set()
+        if self._waits:
+            self._give_up_waiting()
         elif self._application.ended and self._settings.end_exits:
             if not self._application.in_motion:
                 self._stop.set()
         elif not self._application.in_motion and not self._arm.v.any():
             self._start_application()
+
+    def _give_up_waiting(self) -> None:
+        if clock.monotonic() - self._waiting_since > self._settings.wait_for_client:
+            self._log(f"no client connected within {self._settings.wait_for_client:g} s")
+            self._stop.set()
 
     def _state(self) -> dict[str, Any]:
         arm = self._arm
