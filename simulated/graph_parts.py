@@ -219,8 +219,11 @@ class GraphSubscriber:
     @property
     def callbacks(self) -> list[tuple[Any, Any]]:
         """Those of all subscribers of the node to this topic, as rospy keeps them."""
-        others = (each for each in self.node.topics if isinstance(each, GraphSubscriber) and not each.closed)
-        return [(each.callback, each.callback_args) for each in others if each.name == self.name]
+        return [(each.callback, each.callback_args) for each in self._of_the_node()]
+
+    def _of_the_node(self) -> list[GraphSubscriber]:
+        found = (each for each in self.node.topics if isinstance(each, GraphSubscriber) and not each.closed)
+        return [each for each in found if each.name == self.name]
 
     def connect(self) -> None:
         for publisher in list(self.graph.publishers):
@@ -229,7 +232,7 @@ class GraphSubscriber:
     def take(self, data: bytes, publisher: GraphPublisher) -> None:
         if self.closed or self.callback is None:
             return
-        message = self.kind()
+        message = self._of_the_node()[0].kind()  # rospy has one connection of a topic, of the type that came first
         message.deserialize(data)
         message._connection_header = {
             "callerid": publisher.node.name,

@@ -125,6 +125,14 @@ class Topics:
         wait(lambda: came, 10.0, "the message")
         assert came[0]._buff == b"\0\0\0\0\0\0\xf0?" and came[0]._connection_header["type"] == "std_msgs/Float64"
 
+    def test_all_subscribers_of_a_node_get_the_type_of_the_first(self, ros, wait):
+        came = []
+        for kind in (rospy.AnyMsg, Float64):
+            rospy.Subscriber("numbers", kind, lambda message: came.append(type(message)))
+        rospy.Publisher("numbers", Float64, queue_size=1, latch=True).publish(1.0)
+        wait(lambda: len(came) == 2, 10.0, "both messages")
+        assert came == [rospy.AnyMsg, rospy.AnyMsg]
+
     def test_nobody_sends_what_is_waited_for(self, ros):
         text = "timeout exceeded while waiting for message on topic words"
         assert texts_of(lambda: rospy.wait_for_message("words", String, timeout=0.2)) == ("ROSException", text)

@@ -19,6 +19,7 @@ import tty
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -30,6 +31,7 @@ from common.command_line import real, whole
 from common.errors import RigError
 from common.robot_hand import HAND
 from common.ros.node import join, run_program
+from common.ros.raw_tf import data_of
 from common.ros.service_calls import call
 from kuka_control.ros.parameter_server import master_of_this_graph
 from leap_motion.msg import Human
@@ -88,11 +90,11 @@ class EpisodeRecorder:
         self._said, self._began, self._next_flush, self._next_line = "", 0.0, 0.0, 0.0
         self._publisher = rospy.Publisher("episodes/state", DiagnosticStatus, queue_size=10, latch=True)
         subscribe(self._inbox, options)
-        rospy.Subscriber("simulation/object_states", ObjectStates, self._take_objects, queue_size=10)
-        rospy.Subscriber(HAND.state, Hand, self._take_hand, queue_size=10)
-        rospy.Subscriber(EPISODE_MARK, String, self._take_mark, queue_size=10)
+        _listen("simulation/object_states", ObjectStates, self._take_objects)
+        _listen(HAND.state, Hand, self._take_hand)
+        _listen(EPISODE_MARK, String, self._take_mark)
         if options.gesture:
-            rospy.Subscriber("leap_motion/leap_device", Human, self._take_human, queue_size=10)
+            _listen("leap_motion/leap_device", Human, self._take_human)
         for mark in episodes.MARKS:
             rospy.Service(f"episodes/{mark}", Trigger, lambda _, mark=mark: TriggerResponse(*self._serve(mark)))
         self._say("Ready: space or episodes/begin begins an episode.")
@@ -267,6 +269,11 @@ class EpisodeRecorder:
         self._publisher.publish(DiagnosticStatus(DiagnosticStatus.OK, "episodes", sentence, "", texts))
         if not sys.stdout.isatty():
             print(sentence, flush=True)
+
+
+def _listen(topic: str, kind: type, take: Callable[[Any], None]) -> None:
+    """Subscribes as the recorder does: of a topic rospy gives all subscribers of a process the class of the first."""
+    rospy.Subscriber(topic, rospy.AnyMsg, lambda message: take(kind().deserialize(data_of(message))), queue_size=10)
 
 
 def _sentence(change: EpisodeChange) -> str:
