@@ -16,18 +16,22 @@ from common.rotations import rotation_about
 from grasping.lab.synthetic import reflex_labels, samples
 from grasping.lab.synthetic.scene import SceneCamera, height_map
 from rig_simulation.world import lifting
-from rig_simulation.world.lifting import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift, main, reliability
+from rig_simulation.world.lifting import GROUND_M, LOWEST, P_HAND_GRIP, TIPS_M, hand_pose, lift, main, reliability
 
 SCENE = """<mujoco><compiler angle="radian"/><option timestep="0.004" integrator="implicitfast" cone="elliptic"/>
 <default><geom condim="6" friction="0.5 0.005 0.002" solref="0.006 1"/></default>
 <worldbody><geom name="table" type="plane" size="2 2 0.1"/><body name="object0"><freejoint/>
 <geom type="box" size="0.02 0.04 0.03" density="350"/></body></worldbody></mujoco>"""
 DOWN = np.diag([1.0, -1.0, -1.0])
+PEAK = {"row": 1, "column": 2, "quality": 0.5, "angle": 0.1, "width": 40.0}
 
 
 def grasp(x=0.0, y=0.0, angle=0.0):
     """A grasp at the top of the box, its fingers turned about the vertical."""
     return pose(rotation_about(2, angle) @ DOWN, (x, y, 0.06))
+
+
+TRIED = {"method": "good", "T_world_grasp": grasp().tolist(), "width": 0.05, "target": 0, "peak": PEAK}
 
 
 def lying(angle=0.0):
@@ -88,6 +92,84 @@ def test_the_hand_points_down_with_the_grasp_between_its_fingers(angle, height, 
     assert grip[2] == pytest.approx(max(height, TIPS_M + ground - P_HAND_GRIP[2]))
 
 
+def tilted(pitch=0.0, roll=0.0, **place):
+    """A grasp as `grasp`, then turned about the line through the fingers and about the line across it."""
+    T = grasp(**place)
+    T[:3, :3] = T[:3, :3] @ rotation_about(1, roll) @ rotation_about(0, pitch)
+    return T
+
+
+def test_an_own_approach_straight_down_is_the_approach_from_above():
+    leaning = tilted(pitch=0.15)
+    above = lift(SCENE, lying(), grasp(), 0, shake=True)
+    assert above == lift(SCENE, lying(), leaning, 0, shake=True)
+    assert above == lift(SCENE, lying(), grasp(), 0, shake=True, own_approach=True)
+    assert above != lift(SCENE, lying(), leaning, 0, shake=True, own_approach=True)
+    slides = [lifting.RISE in lifting.with_hand(SCENE, hand_pose(leaning, own_approach=own)) for own in (False, True)]
+    assert slides == [False, True], "one slide as ever where the hand points down"
+
+
+@given(st.floats(-3.1, 3.1), st.floats(0.0, 0.2), st.floats(-0.6, 0.6), st.floats(-0.5, 0.5), st.floats(0.0, 0.05))
+def test_a_tilted_hand_comes_along_its_approach_as_far_as_the_table_lets_it(angle, height, pitch, roll, ground):
+    T = tilted(pitch, roll, angle=angle)
+    T[2, 3] = height
+    T_world_hand = hand_pose(T, ground, own_approach=True)
+    np.testing.assert_allclose(T_world_hand[:3, :3], T[:3, :3], atol=1e-12)
+    back = T[:3, 3] - (T_world_hand[:3, :3] @ P_HAND_GRIP + T_world_hand[:3, 3])
+    along = back @ T[:3, 2]
+    np.testing.assert_allclose(back, along * T[:3, 2], atol=1e-12)
+    lowest = (T_world_hand[:3, :3] @ LOWEST.T).min(axis=1)[2] + T_world_hand[2, 3]
+    assert along >= -1e-12 and lowest >= ground - 1e-12
+    assert along < 1e-9 or lowest == pytest.approx(ground), "no farther than it must"
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(0.0, 0.0), (0.8, 0.0), (-0.8, 0.0), (0.0, 0.8), (0.0, -0.8), (0.5, -0.5)])
+def test_a_closing_hand_just_above_the_table_does_not_touch_it(pitch, roll):
+    """Its lowest corners are those of the model, whichever way it leans."""
+    touched = []
+    for ground in (0.002, -0.02):
+        T = tilted(pitch, roll, x=0.3)
+        T[2, 3] = 0.0
+        model = mujoco.MjModel.from_xml_string(lifting.with_hand(SCENE, hand_pose(T, ground, own_approach=True)))
+        hand = lifting.SlidingReflex(model, lying())
+        touched.append(False)
+        for i in range(2200):
+            hand.step(min(1.0, i / 800), 0.0, i > 800, np.array([0.0, 0.0, -9.81]))
+            pairs = model.geom_bodyid[hand._data.contact.geom]
+            touched[-1] |= bool(((pairs == 0).any(axis=1) & ~(pairs == 1).any(axis=1)).any())
+    assert touched == [False, True]
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(0.7, 0.0), (0.0, 0.4), (-0.5, -0.3)])
+def test_a_tilted_hand_lifts_the_box_straight_up(pitch, roll):
+    T = tilted(pitch, roll)
+    model = mujoco.MjModel.from_xml_string(lifting.with_hand(SCENE, hand_pose(T, own_approach=True)))
+    start = model.body("carriage").pos.copy()
+    hand = lifting.SlidingReflex(model, lying())
+    record = lift_trial.lift(hand, lifting.PHASES_S, lifting.TIMESTEP_S, shake=False)
+    assert record.reached and record.kept[0] > 0.06
+    mujoco.mj_kinematics(model, hand._data)
+    carriage = hand._data.body("carriage").xpos - start - lifting.START_M * T[:3, 2]
+    np.testing.assert_allclose(carriage, (0.0, 0.0, 0.1), atol=0.004)
+    assert lift(SCENE, lying(), T, 0, shake=True, own_approach=True).lifted
+
+
+def test_beside_a_high_wall_only_a_hand_that_leans_away_from_it_lifts():
+    wall = '<geom type="box" size="0.2 0.005 0.2" pos="0 0.046 0.2"/></worldbody>'
+    walled = SCENE.replace("</worldbody>", wall)
+    towards, away = ({**TRIED, "T_world_grasp": tilted(pitch=pitch).tolist()} for pitch in (-0.3, 0.3))
+    tried = [away, {**towards, "own_approach": True}, {**away, "own_approach": True}]
+    (scene,) = content(mjcf=walled, grasps=tried)["scenes"]
+    found = lifting.try_scene(lifting.SceneTask(scene, {"shake": True, "ground": 0.0}))
+    assert [row["reason"] for row in found] == [lift_trial.COLLISION, lift_trial.COLLISION, lift_trial.LIFTED]
+
+
+@pytest.mark.parametrize("T", [tilted(pitch=0.9), tilted(pitch=np.pi), tilted(roll=-1.0)])
+def test_an_approach_from_the_side_or_from_below_is_refused(T):
+    with pytest.raises(ValueError, match="50 are possible"):
+        hand_pose(T, own_approach=True)
+
+
 def test_fingers_on_a_vertical_line_are_refused():
     with pytest.raises(ValueError):
         hand_pose(pose(rotation_about(1, 0.5 * np.pi)))
@@ -117,8 +199,7 @@ def test_the_physics_agrees_with_the_labels(size, angle):
 
 
 def content(**more):
-    peak = {"row": 1, "column": 2, "quality": 0.5, "angle": 0.1, "width": 40.0}
-    tried = [{"method": "good", "T_world_grasp": grasp().tolist(), "width": 0.05, "target": 0, "peak": peak}]
+    tried = [TRIED]
     tried.append({"method": "none", "T_world_grasp": None, "width": None, "target": None, "peak": None})
     scene = {"split": "test", "scene": 3, "objects": 1, "mjcf": SCENE, "qpos": lying().tolist(), "grasps": tried}
     return {"schema": 2, "scenes": [{**scene, **more}]}
@@ -193,6 +274,10 @@ def test_qualities_are_judged_by_what_was_lifted():
         (json.dumps(content(qpos=[float("nan")] * 7)), "not finite"),
         (json.dumps(content(mjcf="<mujoco>")), "XML"),
         (json.dumps(content(grasps=[{"method": "a", "T_world_grasp": [[1.0]]}])), "a pose needs 4 x 4"),
+        (
+            json.dumps(content(grasps=[{"T_world_grasp": tilted(pitch=1.5).tolist(), "own_approach": True}])),
+            "by 86 deg",
+        ),
         (json.dumps(content(qpos=[])), "no object of scene 3"),
     ],
 )

@@ -1,8 +1,9 @@
-"""The rig's ReFlex hand on a vertical slide above a given scene: down to a grasp, close, lift, and perhaps shake.
+"""The rig's ReFlex hand on a slide above a given scene: on to a grasp, close, lift straight up, and perhaps shake.
 
-The hand points down with half-closed fingers and descends to the palm distance of the rig's tool, or until the tips of
-its fingers, were they straight, would be just above the table. Then each finger closes up to a given motor load, and
-the hand rises. The hand is that of the shared world, with its springs, tendons and rubber.
+The hand points down, or along a grasp's own approach, with half-closed fingers and goes on to the palm distance of the
+rig's tool, or until its palm or the tips of its fingers, were they straight, would be just above the table. Then each
+finger closes up to a given motor load, and the hand rises. The hand is that of the shared world, with its springs,
+tendons and rubber.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from common import lift_trial
 from common.config import is_number
 from common.errors import RigError
 from common.frames import BASE
-from common.poses import check_pose, pose
+from common.poses import check_pose, pose, translation
 from common.ros.files import read_text, write_whole
 from common.statistics import proportion
 from rig_simulation.files import FLANGES, ROBOTS, read_urdf
@@ -37,11 +38,19 @@ TIMESTEP_S = 0.001
 P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
 """Position of the surface between the fingers in the hand's frame, as on the rig [m]."""
 TIPS_M = 0.196  # from the hand's base to the tips of its straight fingers
+LOWEST = np.array(
+    [(0.090, side * 0.034, TIPS_M) for side in (-1.0, 1.0)]
+    + [(-0.059, side * 0.008, TIPS_M) for side in (-1.0, 1.0)]
+    + [(x, side * 0.053, 0.090) for x in (-0.055, 0.083) for side in (-1.0, 1.0)]
+)
+"""Corners of the fingers' and the thumb's tips, as deep as straight ones and as far out as half-closed ones, and of the
+palm's face, in the hand's frame, shape (8, 3) [m]."""
+MAX_TILT_RAD = np.radians(50.0)  # of an approach
 GROUND_M = 0.004  # least height of the straight fingers' tips above the table, unless another one is asked for
 START_M = 0.10  # start height above the grasp
 PHASES_S = (0.8, 1.6, 1.0, 0.5, lift_trial.SHAKE_S)  # of `lift_trial.PHASES`
 FINGERS = 3
-SLIDE = "slide"
+SLIDE, RISE = "slide", "rise"
 FINGER = re.compile(r"reflex/(?:proximal|distal)_(\d)")  # name of a finger's body
 
 
@@ -52,14 +61,16 @@ def lift(
     target: int | None = None,
     shake: bool = False,
     ground: float = GROUND_M,
+    own_approach: bool = False,
 ) -> lift_trial.LiftResult:
     """Simulates a grasp. `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z =
-    0; `qpos`: their poses; `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the
-    hand comes from above; `target`: number of the object that the grasp is meant for, None: whichever rises most;
-    `shake`: after the lift; `ground`: least height of the straight fingers' tips above the table [m]. Raises ValueError
-    if the line through the fingers is vertical, or `qpos` does not match the scene."""
+    0; `qpos`: their poses; `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m];
+    `target`: number of the object that the grasp is meant for, None: whichever rises most; `shake`: after the lift;
+    `ground`: least height of the palm and of the straight fingers' tips above the table [m]; `own_approach`: the hand
+    comes along the grasp's z axis, else from straight above. Raises ValueError as `hand_pose`, or if `qpos` does not
+    match the scene."""
     rise_m = 0.06  # an object that rises by this much, and stays up, counts as lifted
-    model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp, ground)))
+    model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp, ground, own_approach)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
         raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")
     record = lift_trial.lift(SlidingReflex(model, qpos), PHASES_S, TIMESTEP_S, shake)
@@ -72,6 +83,7 @@ class SlidingReflex:
     def __init__(self, model: mujoco.MjModel, qpos: np.ndarray) -> None:
         half_closed_rad = 1.6  # turn of a finger during the descent: the tips are about 0.11 m apart
         self._model, self._count = model, len(qpos) // 7
+        self._rises = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, RISE) >= 0
         self._data = mujoco.MjData(model)
         self._mechanics = PhysicalMechanics()
         self._mechanics.bind(model, self._data)
@@ -88,7 +100,12 @@ class SlidingReflex:
         farthest_rad = 3.6
         load = 300.0  # effort at which a motor stops closing [0.1 %]: about 10 N at a finger's tip
         self._model.opt.gravity[:] = gravity
-        self._data.ctrl[self._model.actuator(SLIDE).id] = -START_M * approach + lift_m * lift
+        back_m, up_m = -START_M * approach, lift_m * lift
+        if self._rises:
+            self._data.ctrl[self._model.actuator(RISE).id] = up_m
+        else:
+            back_m += up_m
+        self._data.ctrl[self._model.actuator(SLIDE).id] = back_m
         for finger in range(FINGERS if closing else 0):
             if self._mechanics.resistance(finger) < load:
                 self._spools[finger] = min(farthest_rad, self._spools[finger] + closing_rad_s * TIMESTEP_S)
@@ -99,7 +116,8 @@ class SlidingReflex:
         return self._data.qpos[: 7 * self._count].reshape(-1, 7)[:, :3].copy()
 
     def missing(self) -> float:
-        return float(self._data.joint(SLIDE).qpos[0] + START_M)
+        up = self._data.joint(RISE).qpos[0] if self._rises else 0.0
+        return float(np.hypot(self._data.joint(SLIDE).qpos[0] + START_M, up))
 
     def held(self) -> np.ndarray:
         touching: list[set[str]] = [set() for _ in range(self._count)]
@@ -114,21 +132,34 @@ class SlidingReflex:
         return not self._data.warning.number.any()
 
 
-def hand_pose(T_world_grasp: np.ndarray, ground: float = GROUND_M) -> np.ndarray:
-    """Returns the pose of the hand's base for a grasp, T_world_hand, shape (4, 4) [m]; ValueError as `lift`."""
-    x = T_world_grasp[:3, 0] * (1.0, 1.0, 0.0)
-    length = np.linalg.norm(x)
-    if not length > 0.2:
-        raise ValueError(f"The line through the fingers, {T_world_grasp[:3, 0].tolist()}, is nearly vertical.")
-    x, z = x / length, np.array([0.0, 0.0, -1.0])
-    R = np.column_stack([x, np.cross(z, x), z])
+def hand_pose(T_world_grasp: np.ndarray, ground: float = GROUND_M, own_approach: bool = False) -> np.ndarray:
+    """Returns the pose of the hand's base for a grasp, T_world_hand, shape (4, 4) [m], arguments as of `lift`; nearer
+    to the table than `ground` it goes back along its approach. Raises ValueError if a hand from straight above would
+    have the line through its fingers nearly vertical, or if an approach of its own is tilted too far."""
+    if own_approach:
+        R = T_world_grasp[:3, :3]
+        tilt = np.arccos(np.clip(-R[2, 2], -1.0, 1.0))
+        if not tilt <= MAX_TILT_RAD:
+            most = np.degrees([tilt, MAX_TILT_RAD]).round()
+            raise ValueError(f"the approach is tilted by {most[0]:.0f} degrees, and {most[1]:.0f} are possible")
+    else:
+        x = T_world_grasp[:3, 0] * (1.0, 1.0, 0.0)
+        length = np.linalg.norm(x)
+        if not length > 0.2:
+            raise ValueError(f"the line through the fingers, {T_world_grasp[:3, 0].tolist()}, is nearly vertical")
+        x, z = x / length, np.array([0.0, 0.0, -1.0])
+        R = np.column_stack([x, np.cross(z, x), z])
     p = T_world_grasp[:3, 3] - R @ P_HAND_GRIP
-    p[2] = max(p[2], TIPS_M + ground)
+    least = ground - (R[2] * LOWEST).sum(axis=1).min()
+    if p[2] < least:
+        p[:2] += (least - p[2]) / R[2, 2] * R[:2, 2]
+        p[2] = least
     return pose(R, p)
 
 
 def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
-    """Returns the scene's MJCF with the hand on a vertical slide, `START_M` above its target."""
+    """Returns the scene's MJCF with the hand `START_M` before its target, on a slide along its approach, and if that is
+    tilted, with the vertical slide for the lift."""
     slide_n = 120.0
     root = ET.fromstring(scene)
     child(root, "option").set("timestep", str(TIMESTEP_S))
@@ -137,17 +168,23 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
     arm = child(world, f"body[@name='{BASE}']")
     hand = child(arm, ".//body[@name='reflex/base_link']")
     world.remove(arm)
-    start = T_world_hand.copy()
-    start[2, 3] += START_M
+    start = T_world_hand @ translation(0.0, 0.0, -START_M)
     carriage = body(world, "carriage", start)
-    ET.SubElement(carriage, "joint", name=SLIDE, type="slide", axis="0 0 -1", damping="400")
+    axes = {SLIDE: "0 0 -1"}
+    if start[2, 2] != -1.0:
+        axes[RISE] = numbers(start[2, :3])
+    for name, axis in axes.items():
+        ET.SubElement(carriage, "joint", name=name, type="slide", axis=axis, damping="400")
     hand.attrib.update(pos="0 0 0", quat="1 0 0 0")
     carriage.append(hand)
     prepare_hand(root)
     for part in carriage.iter("body"):
         part.set("gravcomp", "1")  # the arm carries the hand
     law = {"kp": "40000", "forcerange": numbers((-slide_n, slide_n))}
-    ET.SubElement(child(root, "actuator"), "position", {"name": SLIDE, "joint": SLIDE, **law})
+    if RISE in axes:
+        child(carriage, f"joint[@name='{RISE}']").set("armature", "1")  # keeps two almost parallel slides apart
+    for slide in axes:
+        ET.SubElement(child(root, "actuator"), "position", {"name": slide, "joint": slide, **law})
     return ET.tostring(root, encoding="unicode")
 
 
@@ -188,11 +225,16 @@ def _check(scene: dict[str, Any]) -> None:
         raise ValueError(f"the positions of scene {scene['scene']} are not finite")
     for grasp in scene["grasps"]:
         if grasp["T_world_grasp"] is not None:
-            check_pose(grasp["T_world_grasp"])
+            hand_pose(check_pose(grasp["T_world_grasp"]), own_approach=_own_approach(grasp))
             float(grasp["width"])
             if grasp["target"] not in range(len(scene["qpos"]) // 7):
                 raise ValueError(f"the target {grasp['target']!r} is no object of scene {scene['scene']}")
         str(grasp["method"]), str(scene["split"]), grasp["peak"]
+
+
+def _own_approach(grasp: dict[str, Any]) -> bool:
+    """Returns whether the hand comes along the grasp's own approach; the file need not say it of those from above."""
+    return bool(grasp.get("own_approach", False))
 
 
 class SceneTask(NamedTuple):
@@ -213,7 +255,8 @@ def try_scene(task: SceneTask) -> list[dict[str, Any]]:
         trial = lift_trial.LiftResult(False, 0.0, False, lift_trial.NO_GRASP)
         if grasp["T_world_grasp"] is not None:
             T = np.array(grasp["T_world_grasp"])
-            trial = lift(scene["mjcf"], np.array(scene["qpos"]), T, grasp["target"], **task.conditions)
+            at = np.array(scene["qpos"]), T, grasp["target"]
+            trial = lift(scene["mjcf"], *at, **task.conditions, own_approach=_own_approach(grasp))
         rows.append({**row, **trial._asdict()})
     return rows
 
