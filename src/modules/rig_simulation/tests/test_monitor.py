@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from common import clock
@@ -9,8 +11,8 @@ from common import clock
 pytest.importorskip("rig_msgs.srv")
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
-from std_srvs.srv import Trigger
+from geometry_msgs.msg import PoseStamped, Vector3
+from std_srvs.srv import SetBool, Trigger
 
 from rig_simulation.control_port import ControlClient, ControlPort
 
@@ -57,6 +59,22 @@ def test_the_flange_the_status_and_the_key(ros, controller):
     assert release().success
     clock.sleep(STATUS_PERIOD_S + 2 * SEEN_S)
     assert status[-1].level == DiagnosticStatus.OK
+
+
+def test_a_hand_pushes_and_presses_the_enabling_switch(ros, controller):
+    arm, port = controller
+    node = ros.run("rig_simulation", "simulation_node.py", f"_arm_port:={port}", "_world_port:=0")
+    push = rospy.Publisher("simulation/hand_force", Vector3, queue_size=1)
+    clock.sleep(0.5)
+    push.publish(Vector3(60.0, 0.0, 0.0))
+    clock.sleep(SEEN_S)
+    assert "external torque" in arm.ask("state")["safety_stop"], "the force acts on the arm"
+    push.publish(Vector3(0.0, math.nan, 0.0))
+    clock.sleep(SEEN_S)
+    assert "it is not applied" in node.log_path.read_text()
+    enabling = rospy.ServiceProxy("simulation/enabling", SetBool)
+    assert enabling(True).success and arm.ask("state")["enabling"] is True
+    assert enabling(False).success and arm.ask("state")["enabling"] is False
 
 
 def test_the_stamp_tells_when_the_arm_stood_there_by_the_arms_own_clock(ros, controller):

@@ -4,7 +4,8 @@ process because each has little to do, and the node camera_truth.
 The arm: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status`
 (stops, goals, mode, speed of the tool: now, highest since the last status, highest since the start) [m/s]. Services:
 `simulation/release`, the run key after a safety stop; `simulation/back_off`, the jog keys, which move a pressing arm
-back along its path.
+back along its path; `simulation/enabling`, the enabling switch of the hand guiding. `simulation/hand_force`: a hand's
+force on the tool point along the tool's axes [N], until the next one.
 The world: `simulation/object_states` in kuka/base_frame; on /diagnostics the real-time factor of
 the world. Services: `simulation/reset` puts the objects back to their poses of the scene, `simulation/set_scene` loads
 another scene; arm and hand keep their state. In RViz: `rig_simulation.ros.world_view`.
@@ -21,8 +22,15 @@ import numpy as np
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from std_srvs.srv import (
+    SetBool,
+    SetBoolRequest,
+    SetBoolResponse,
+    Trigger,
+    TriggerRequest,
+    TriggerResponse,
+)
 from visualization_msgs.msg import MarkerArray
 
 from common import clock
@@ -100,6 +108,25 @@ class ArmMonitor:
         released = "The safety stop is released; the arm resumes."
         rospy.Service("simulation/release", Trigger, trigger(self._client, "release", released))
         rospy.Service("simulation/back_off", Trigger, trigger(self._client, "back_off", "The arm backs off."))
+        rospy.Service("simulation/enabling", SetBool, self._press)
+        rospy.Subscriber("simulation/hand_force", Vector3, self._push, queue_size=1)
+
+    def _press(self, request: SetBoolRequest) -> SetBoolResponse:
+        try:
+            self._client.ask("set_enabling", value=request.data)
+        except DeviceError as error:
+            return SetBoolResponse(False, str(error))
+        return SetBoolResponse(True, f"The enabling switch is {'pressed' if request.data else 'released'}.")
+
+    def _push(self, force: Vector3) -> None:
+        values = [force.x, force.y, force.z]
+        if not all(map(math.isfinite, values)):
+            rospy.logwarn_throttle(10.0, "The force on simulation/hand_force is %s; it is not applied.", values)
+            return
+        try:
+            self._client.ask("set_tcp_force", value=values)
+        except DeviceError as error:
+            rospy.logwarn_throttle(10.0, "%s", error)
 
     def publish(self) -> None:
         """Publishes the present state; raises DeviceError if the controller does not answer."""

@@ -38,6 +38,7 @@ class CarriedJoints(Part):
         self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
         self._q = self._v = self._v_next = np.zeros(7)
         self._torque, self._spring = np.zeros(7), np.zeros(7)  # measured; of the springs at the present angles
+        self._drive_torque = np.zeros(7)  # in the last step
         self._dt = self._timestep  # of the present step of the world [s]
         self._q_next = self._q  # of the drives after the next step of the world
         world.add(self)
@@ -49,6 +50,11 @@ class CarriedJoints(Part):
             raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
         self._q_next = q
         return self._torque
+
+    @property
+    def reaction(self) -> np.ndarray:
+        """Torques on the drives in the last step of the world, shape (7,) [Nm]."""
+        return -self._drive_torque
 
     @property
     def pushed(self) -> bool:
@@ -68,6 +74,7 @@ class CarriedJoints(Part):
         torque = v - self._joint_v
         torque *= self._damping
         torque += self._spring
+        self._drive_torque = torque.copy()
         torque += self._torque
         torque *= self._dt / (observer_time_s + self._dt)
         self._torque = self._torque - torque

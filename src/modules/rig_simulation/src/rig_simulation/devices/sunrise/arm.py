@@ -12,6 +12,7 @@ import numpy as np
 
 from common.poses import read_only
 from rig_description.hand import tool_body
+from rig_simulation.devices.sunrise.compliance import GivesUp, Softness, SoftServo
 from rig_simulation.devices.sunrise.paths import JointMove
 from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Robot
 
@@ -36,7 +37,11 @@ class ArmEnvironment(Protocol):
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Advances by dt [s] to where the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,); returns
-        the torques of contacts and load on the joints, shape (7,) [Nm]."""
+        the torques of contacts and load on the joints, shape (7,) [Nm], as the controller estimates them."""
+
+    @property
+    def reaction(self) -> np.ndarray:
+        """The same torques as they are, without the time that the estimate takes."""
 
 
 class SimulatedArm:
@@ -71,6 +76,11 @@ class SimulatedArm:
         self.in_servo = False  # whether the servo mode runs
         self.destination: np.ndarray | None = None  # of the servo mode in place of its law's, shape (7,) [rad]
         self._known: list[tuple[float, np.ndarray]] = [(0.0, np.zeros(3))] * 2  # that it reckons with
+        self.gave_up = ""  # why the controller ended the servo mode or the hand guiding
+        self._soft: SoftServo | None = None  # in servo mode
+        self._guide: SoftServo | None = None  # while a hand may guide the arm
+        self.enabling = False  # whether the enabling switch of the hand guiding is pressed
+        self._guided = False  # whether it was, since the hand guiding began
         self._motion: JointMove | None = None
         self._break_when: Callable[[SimulatedArm], str] | None = None
         self.broken_by = ""  # what broke the last planned motion
@@ -103,6 +113,8 @@ class SimulatedArm:
         v_before = self.v
         if self._motion is not None:
             self._step_motion(self._motion, dt)
+        elif self._guide is not None:
+            self._step_guide(self._guide, dt)
         elif self._backing_off:
             self._step_back(dt)
         elif self.in_servo and self.safety_stop is None:
@@ -124,7 +136,7 @@ class SimulatedArm:
     @property
     def resting(self) -> bool:
         """Whether the arm is at rest and nothing will move it by itself."""
-        driven = self._motion is not None or (self.in_servo and self.safety_stop is None) or self._backing_off
+        driven = self.in_motion or (self.in_servo and self.safety_stop is None) or self._backing_off
         return not driven and not self.v.any()
 
     @property
@@ -134,13 +146,13 @@ class SimulatedArm:
 
     @property
     def in_motion(self) -> bool:
-        """Whether a planned motion is under way, also while a safety stop pauses it."""
-        return self._motion is not None
+        """Whether a planned motion or hand guiding is under way, also while a safety stop pauses it."""
+        return self._motion is not None or self._guide is not None
 
     def start_motion(self, motion: JointMove, break_when: Callable[[SimulatedArm], str] | None = None) -> None:
         """Starts a planned motion from the present joint angles; it brakes and ends once `break_when` says what it is
         broken by."""
-        self._motion, self._break_when, self.broken_by = motion, break_when, ""
+        self._motion, self._break_when, self.broken_by, self.gave_up = motion, break_when, "", ""
         self._motion_time, self._breaking = 0.0, False
         self._motion_rate = 1.0 if self.safety_stop is None else 0.0
         self._check_safety()
@@ -151,11 +163,31 @@ class SimulatedArm:
 
     def start_servo(self) -> None:
         """Starts the servo mode with the present joint angles as goal."""
-        self.in_servo, self.destination = True, None
+        self.in_servo, self.destination, self._soft, self.gave_up = True, None, None, ""
         self.goal = self.q.copy()
 
     def stop_servo(self) -> None:
         self.in_servo = False
+
+    def soften(self, softness: Softness) -> None:
+        """Makes the servo mode soft that has just begun."""
+        self._soft = self._soft_servo(softness)
+
+    def start_guiding(self) -> None:
+        """Lets a hand move the arm while the enabling switch is pressed; its release ends that."""
+        self._guide, self._guided = self._soft_servo(Softness("FLOAT")), False
+        self._breaking, self.gave_up = False, ""
+
+    def _soft_servo(self, softness: Softness) -> SoftServo:
+        return SoftServo(self.robot, softness, self.T_flange_tool, self.q, self.acceleration)
+
+    @property
+    def load_is_right(self) -> bool:
+        """Whether what pulls at the arm is what the controller reckons with, so that it may be soft."""
+        most_nm = 3.0  # an assumption: the controller's own bound is not published
+        weights = [(self._tool.mass, self._tool.com), *((-mass, com) for mass, com in self._known)]
+        torque = self._contact_torques + sum(self.robot.weight(self.q, *each) for each in weights)
+        return bool(np.max(np.abs(torque)) <= most_nm)
 
     def attach(self, T_flange_tool: np.ndarray) -> None:
         """Attaches a tool, shape (4, 4), in place of the last one."""
@@ -297,8 +329,32 @@ class SimulatedArm:
                 self.in_servo = False
                 return
             self._checked_goal = self.goal
-        way = self._law(self.goal - self.q) if self.destination is None else self.destination - self.q
+        to = self.goal if self.destination is None else self.destination
+        if self._soft is not None:
+            self._step_soft(self._soft, to, dt)
+            return
+        way = self._law(to - self.q) if self.destination is None else to - self.q
         self._move(self._drives.towards(way, self.v, dt), dt)
+
+    def _step_soft(self, soft: SoftServo, goal: np.ndarray, dt: float) -> None:
+        touch = self._touch_torque if self._environment is None else self._environment.reaction
+        torque = self.external_torques - self._touch_torque + touch
+        try:
+            self._move(soft.step(goal, self.q, self.v, torque, dt), dt)
+            joint = np.flatnonzero((self.q < self.robot.lower) | (self.q > self.robot.upper))
+            if joint.size:
+                raise GivesUp(f"joint {joint[0] + 1} is at the end of its range")
+        except GivesUp as error:
+            self.gave_up, self.in_servo, self._guide = str(error), False, None
+
+    def _step_guide(self, guide: SoftServo, dt: float) -> None:
+        self._guided = self._guided or self.enabling
+        if self.enabling and not self._breaking and self.safety_stop is None:
+            self._step_soft(guide, self.q, dt)
+            return
+        self._move(self._drives.brake(self.v, dt), dt)
+        if not self.v.any() and (self._breaking or self._guided):
+            self._guide = None
 
     def _move(self, v: np.ndarray, dt: float) -> None:
         self.q = self.q + v * dt

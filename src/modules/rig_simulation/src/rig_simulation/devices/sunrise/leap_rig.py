@@ -23,12 +23,13 @@ from rig_simulation.devices.sunrise.application import (
     Planner,
 )
 from rig_simulation.devices.sunrise.arm import SimulatedArm
+from rig_simulation.devices.sunrise.compliance import Softness
 from rig_simulation.devices.sunrise.leap_rig_words import Request
 from rig_simulation.devices.sunrise.motions import Goals, pose_from_frame
 from rig_simulation.devices.sunrise.paths import JointMove, Unreachable
 from rig_simulation.devices.sunrise.robot import CYCLE_S
 
-ABILITIES = "watchdog_stop_contact_tool_state"
+ABILITIES = "watchdog_stop_contact_tool_soft_float_guide_state"
 OLD_CLIENT_SILENT_S = 60.0
 BRAKE_RAD_S2 = 10.0
 OPERATION_MODE = "AUT"
@@ -117,6 +118,8 @@ class LeapRigApplication(Application):
         self._held = ""
         self._followed = False  # whether servo mode ran in the last cycle
         self._tool_mass = self._load_mass = Mass()
+        self._soft: Softness | None = None  # of the next servo modes
+        self._softness: Softness | None = None  # of the present one
         self._own: dict[str, Callable[[Request], str]] = {
             "lrBeat": lambda _: words.ok("lrBeat"),
             "lrState": lambda _: self._state(),
@@ -127,6 +130,11 @@ class LeapRigApplication(Application):
             "lrContact": self._set_contact,
             "lrTool": self._set_tool,
             "lrLoad": self._set_load,
+            "lrSoftJoints": self._set_soft,
+            "lrSoftTool": self._set_soft,
+            "lrStiff": self._set_stiff,
+            "lrFloat": self._float,
+            "lrGuide": self._guide,
         }
         arm.state_load(self._tool_mass.in_metres, self._load_mass.in_metres)
 
@@ -228,7 +236,7 @@ class LeapRigApplication(Application):
         return f"state_{self.phase}_{java_text.vector(numbers)}{OPERATION_MODE}_{self._enabling()}_{self._safety()}_\n"
 
     def _enabling(self) -> str:
-        return "NONE"
+        return "HANDGUIDING" if self._arm.enabling else "NONE"
 
     def _safety(self) -> str:
         return "NOSTOP" if self._arm.safety_stop is None else "STOP1"
@@ -279,6 +287,36 @@ class LeapRigApplication(Application):
         centres = zip((tool.x, tool.y, tool.z), (load.x, load.y, load.z))
         both = [(tool.kg * one + load.kg * other) / kg if kg else 0.0 for one, other in centres]
         return words.ok(request.name, (kg, *both))
+
+    def _set_soft(self, request: Request) -> str:
+        kind = "JOINTS" if request.name == "lrSoftJoints" else "TOOL"
+        no = words.refused_softness(request.numbers) or self._not_soft()
+        if no is not None:
+            return words.no(request.name, no)
+        self._soft = Softness(kind, request.numbers)
+        return words.ok(request.name, request.numbers)
+
+    def _set_stiff(self, request: Request) -> str:
+        self._soft = None
+        return words.ok(request.name)
+
+    def _not_soft(self) -> str | None:
+        """Returns why the arm may not be soft, or None."""
+        if not self._tool_mass.kg:
+            return "the tool's mass is not known: say lrTool first"
+        return None if self._arm.load_is_right else "the controller's load check fails: mass, centre or pose are wrong"
+
+    def _float(self, request: Request) -> str:
+        no = self._not_soft()
+        if no is not None:
+            return words.no(request.name, no)
+        self._serve(Softness("FLOAT"))
+        return words.ok(request.name)
+
+    def _guide(self, request: Request) -> str:
+        self._move(lambda arm, _: arm.start_guiding())
+        self._break_when = None
+        return words.ok(request.name)
 
     def _forget_tool(self) -> None:
         """Who said hello keeps its tool."""
@@ -362,6 +400,8 @@ class LeapRigApplication(Application):
             return
         if self._ending:
             self._tell(f"the motion was stopped by {self._ending}")
+        elif self._arm.gave_up:
+            self._tell(f"the controller gave the motion up: {self._arm.gave_up}")
         elif broken:
             self._tell(f"contact: {broken}")
         super()._finish_motion(now)
@@ -371,12 +411,21 @@ class LeapRigApplication(Application):
             return words.stopped(self._ending) if self.hello else NAK
         if self._arm.broken_by and self.hello and not self._refused:
             return words.stopped(f"contact, {self._arm.broken_by}")
-        return super()._result()
+        return NAK if self._arm.gave_up else super()._result()
 
-    def _start_servo(self, words_: list[str]) -> str:
-        self._brake, self._followed = None, True
-        self._tell("servo mode begins")
-        return super()._start_servo(words_)
+    def _start_servo(self, _: list[str]) -> str:
+        self._serve(self._soft)
+        return DONE
+
+    def _serve(self, softness: Softness | None) -> None:
+        self._brake, self._followed, self._softness = None, True, softness
+        super()._start_servo([])
+        self._tell("servo mode begins" + (f", {softness.kind}" if softness else ""))
+
+    def _begin_servo(self) -> None:
+        super()._begin_servo()
+        if self._softness is not None:
+            self._arm.soften(self._softness)
 
     def _stop(self, _: list[str]) -> str:
         if self._serving:
@@ -395,7 +444,7 @@ class LeapRigApplication(Application):
     def _cycle_servo(self, wanted: str | None, why: str | None) -> None:
         if not self._serving:
             if self._followed:
-                self._end_servo(f"the goal {java_text.vector(self._arm.goal)} rad is beyond the ranges")
+                self._end_servo(self._fault())
             return
         if why is not None or (self.hello and self._silence > self._watchdog.end):
             self._end_servo(why or "the watchdog")
@@ -413,7 +462,19 @@ class LeapRigApplication(Application):
             self._brake.advance(CYCLE_S)
             self._arm.destination = self._brake.destination
 
+    def _fault(self) -> str:
+        """Returns why the servo mode has ended by itself."""
+        if self._arm.gave_up:
+            return "the controller gave up"
+        joint = words.outside(self._arm.goal)
+        assert joint is not None  # nothing else ends it
+        goal = java_text.text(self._arm.goal[joint])
+        return f"joint {joint + 1} is to go to {goal} rad, beyond its range"
+
     def _hold(self, why: str) -> None:
+        if self._softness is not None and self._softness.kind == "FLOAT":
+            self._end_servo("a pause" if why == "paused" else "the watchdog")
+            return
         self._brake, self._held = Brake(self._arm.q, self._arm.v), why
         self._tell(f"the arm brakes and holds: {why}")
 

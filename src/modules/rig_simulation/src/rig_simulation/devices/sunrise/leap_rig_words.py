@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -61,6 +61,9 @@ WORDS = (
     Word("lrContact", OURS, 8, 8),
     Word("lrTool", AT_REST, 10, 10),
     Word("lrLoad", AT_REST, 4, 4),
+    Word("lrSoftJoints", AT_REST, 8, 8),
+    Word("lrSoftTool", AT_REST, 12, 12),
+    *(Word(f"lr{name}", AT_REST) for name in ("Stiff", "Float", "Guide")),
 )
 
 
@@ -110,7 +113,7 @@ def read(line: str) -> Request:
     return Request(line, word, tuple(numbers))
 
 
-def outside(joints: Sequence[float]) -> int | None:
+def outside(joints: Iterable[float]) -> int | None:
     """Returns the first joint, counted from 0, whose angle [rad] is outside its range or not a number."""
     return next((k for k, angle in enumerate(joints) if not abs(angle) <= RANGES_RAD[k]), None)
 
@@ -136,6 +139,22 @@ def refused_tool(n: Sequence[float]) -> str | None:
 def refused_contact(n: Sequence[float]) -> str | None:
     """Returns why the numbers of lrContact are refused, or None."""
     return out_of_range("a torque", n[:7], 0.0, 320.0) or out_of_range("the force", n[7:], 0.0, 500.0)
+
+
+def refused_softness(n: Sequence[float]) -> str | None:
+    """Returns why the numbers of lrSoftJoints or lrSoftTool are refused, or None; ranges: KUKA's control modes."""
+    if len(n) == 8:
+        return out_of_range("a joint's stiffness", n[:7], 0.0, 5000.0) or out_of_range("the damping", n[7:], 0.1, 1.0)
+    return (
+        out_of_range("a stiffness along an axis", n[:3], 0.0, 5000.0)
+        or out_of_range("a stiffness about an axis", n[3:6], 0.0, 300.0)
+        or out_of_range("the damping", n[6:7], 0.1, 1.0)
+        or out_of_range("the null space's stiffness", n[7:8], 0.0, 1000.0)
+        or out_of_range("the force", n[8:9], 1.0, 200.0)
+        or out_of_range("the moment", n[9:10], 0.1, 50.0)
+        or out_of_range("the path's deviation in mm", n[10:11], 1.0, 500.0)
+        or out_of_range("the path's deviation in rad", n[11:], 0.01, 2.0)
+    )
 
 
 def ok(name: str, values: Sequence[float] = ()) -> str:

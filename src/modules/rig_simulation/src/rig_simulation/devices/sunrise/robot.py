@@ -78,6 +78,11 @@ class Robot:
         """Returns the joint torques, shape (7,) [Nm], of gravity and motion at angles, speeds and accelerations."""
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """Returns the inertia at the joints q [rad], shape (7, 7) [kg m^2]."""
+        M = pin.crba(self._model, self._data, q)
+        return np.triu(M) + np.triu(M, 1).T
+
     def weight(self, q: np.ndarray, mass: float, com: np.ndarray) -> np.ndarray:
         """Returns the torques that the weight of a mass [kg] at `com` in the flange frame, shape (3,) [m], makes at the
         joints q, shape (7,) each [rad], [Nm]."""

@@ -88,6 +88,7 @@ class SunriseServer:
             "release": self._release,
             "back_off": self._back_off,
             "set_external_torque": lambda value: arm.set_external_torque(_numbers(value, 7)),
+            "set_enabling": self._set_enabling,
             "set_tcp_force": lambda value: arm.set_tool_force(_numbers(value, 3)),
         }
         handlers = {name: within(self.up_to_date, request) for name, request in requests.items()}
@@ -343,6 +344,7 @@ class SunriseServer:
             "mode": self._application.mode,
             "safety_stop": arm.safety_stop,
             "stops": arm.stops,
+            "enabling": arm.enabling,
             "goals": self._io.goals,
             "connected": self._client is not None,
             "outputs": dict(self._io.outputs),
@@ -365,6 +367,12 @@ class SunriseServer:
     def _release(self) -> None:
         self._arm.release()
         self._log("released")
+
+    def _set_enabling(self, value: bool) -> None:
+        if not isinstance(value, bool):
+            raise ValueError(f"The value is {value!r}, but must be true or false.")
+        self._arm.enabling = value
+        self._log(f"the enabling switch is {'pressed' if value else 'released'}")
 
     def _back_off(self) -> None:
         self._arm.back_off()
