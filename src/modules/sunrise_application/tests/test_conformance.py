@@ -1,5 +1,5 @@
-"""Each word of the toolbox's wire, answered by the simulated controller, by the robot application, and by the server at
-LEAP_RIG_ROBOT=HOST:PORT, where only the words are tried that move nothing."""
+"""Each word of the wire, the toolbox's and the extension's, answered by the simulated controller, by the robot
+application, and by the server at LEAP_RIG_ROBOT=HOST:PORT, where only the words are tried that move nothing."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ import re
 import sys
 
 import pytest
+
+from common import clock
+from rig_simulation.control_port import ControlClient
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
+from rig_simulation.devices.sunrise.leap_rig_server import LeapRigServer
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.server import ServerSettings
+from rig_simulation.files import read_urdf
 
 pytestmark = pytest.mark.real
 
@@ -35,10 +43,52 @@ GOALS = [
     ("stopDirectServoJoints", DONE),
 ]  # fmt: skip
 """The same, of words that set goals or outputs, which a real robot is not asked."""
+STATE = rf"state_[A-Z]+_({NUMBER}){{28}}[A-Z0-9]+_[A-Z]+_[A-Z0-9]+_" "\n"
+TOOL, HOME = "lrTool_1_0_0_60_0_0_106_0_0_0_", "jp_-0.78540_0.52360_0.00000_-1.39626_0.00000_1.22173_0.00000_"
+ABILITIES = "watchdog_stop_contact_tool_soft_float_guide_state"
+OURS_STILL = [
+    ("lrHello_1_", rf"ok_lrHello_leapRig_1_\d+_{ABILITIES}_" "\n"), ("lrHello_x_", NOTHING),
+    ("lrBeat_", "ok_lrBeat_\n"), ("lrBeatx", "no_word_unknown_\n"), ("noSuchCommand", "no_word_unknown_\n"),
+    ("lrState_", STATE), ("lrStop_", "ok_lrStop_\n"), ("lrChannel_1_", "no_lrChannel_not on this connection_\n"),
+    *((f"lr{word}_", f"no_lr{word}_the mode is IDLE_\n") for word in ("Pause", "Resume", "Cancel")),
+    ("jpState_0_0_", "no_jpState_2 numbers came, 7 are needed_\n"),
+    ("jp_" + ZEROS + "NaN_", "no_jp_a number is not finite_\n"),
+    ("jf_" + ZEROS + "1e400_", "no_jf_a number is not finite_\n"),
+    ("jpJP_" + ZEROS + "nan_", "no_jpJP_field 7 is not a number_\n"),
+    ("jp_" + "1_" * 33, "no_jp_more than 32 numbers_\n"),
+    ("jp_" + "1" * 65 + "_", "no_jp_field 1 is not a number_\n"),
+    ("jpState_" + ZEROS + "3.1_", "no_jpState_joint 7 is 3.1 rad, beyond its range_\n"),
+    ("TFtrans_0_0_x_", "no_TFtrans_field 3 is not a number_\n"),
+    ("jRelVel_", "no_jRelVel_0 numbers came, 1 are needed_\n"),
+    ("doPTP!inJS" + "_1" * 22, "no_doPTP!inJS_22 numbers came, 0 to 21 are needed_\n"),
+    ("x" * 1025, NOTHING), ("lrWatchdog_2_60_", "ok_lrWatchdog_2.0_60.0_\n"),
+    ("lrWatchdog_0.01_1_", "no_lrWatchdog_the first time is 0.01 s, but must be 0.05 to 2.0_\n"),
+    ("lrWatchdog_1_61_", "no_lrWatchdog_the second time is 61.0 s, but must be above the first and at most 60.0_\n"),
+    ("lrContact_10_10_10_10_10_5_5_30_", "ok_lrContact_10.0_10.0_10.0_10.0_10.0_5.0_5.0_30.0_\n"),
+    ("lrContact_321_0_0_0_0_0_0_0_", "no_lrContact_a torque is 321.0, but must be 0.0 to 320.0_\n"),
+    ("lrContact_0_0_0_0_0_0_0_-1_", "no_lrContact_the force is -1.0, but must be 0.0 to 500.0_\n"),
+    ("lrTool_15_0_0_0_0_0_0_0_0_0_", "no_lrTool_the mass is 15.0, but must be 0.0 to 14.0_\n"),
+    ("lrTool_1_600_0_0_0_0_0_0_0_0_", "no_lrTool_the centre of mass in mm is 600.0, but must be -500.0 to 500.0_\n"),
+    ("lrTool_1_0_0_0_0_0_1e4_0_0_0_", "no_lrTool_the tool point in mm is 10000.0, but must be -1000.0 to 1000.0_\n"),
+    ("lrTool_1_0_0_0_0_0_0_7_0_0_", r"no_lrTool_an angle is 7.0, but must be -6.28\d+ to 6.28\d+_" "\n"),
+    ("lrSoftJoints_1_1_1_1_1_1_1_0.7_", "no_lrSoftJoints_the tool's mass is not known: say lrTool first_\n"),
+    ("lrSoftJoints_1_1_1_1_1_1_1_0_", "no_lrSoftJoints_the damping is 0.0, but must be 0.1 to 1.0_\n"),
+    ("lrSoftTool_1_1_1_1_1_1_0.7_1_300_1_1_1_", "no_lrSoftTool_the force is 300.0, but must be 1.0 to 200.0_\n"),
+    ("lrFloat_", "no_lrFloat_the tool's mass is not known: say lrTool first_\n"), ("lrStiff_", "ok_lrStiff_\n"),
+]  # fmt: skip
+"""Words of a client that says hello first."""
+OURS_GOALS = [
+    (f"jpState_{ZEROS}0_", STATE), (TOOL, "ok_lrTool_1.0_0.0_0.0_60.0_\n"),
+    ("lrLoad_13.5_0_0_0_", "no_lrLoad_tool and load weigh 14.5 kg, more than 14.0_\n"),
+    ("lrLoad_0.5_0_0_180_", "ok_lrLoad_1.5_0.0_0.0_100.0_\n"),
+    ("lrSoftJoints_300_300_300_300_200_100_50_0.7_", "ok_lrSoftJoints_300.0_300.0_300.0_300.0_200.0_100.0_50.0_0.7_\n"),
+    ("lrSoftTool_9_9_9_9_9_9_0.7_1_9_9_9_1_", "ok_lrSoftTool_9.0_9.0_9.0_9.0_9.0_9.0_0.7_1.0_9.0_9.0_9.0_1.0_\n"),
+    ("doPTP!inJS_0_-10_", NAK), ("startDirectServoJoints", DONE), ("lrStiff_", "no_lrStiff_the arm is not at rest_\n"),
+]  # fmt: skip
 SIMULATED = "import sys; from rig_simulation.devices.sunrise.program import main; sys.exit(main(sys.argv[1:]))"
 
 
-@pytest.fixture(params=["simulated", "application", "address"])
+@pytest.fixture(params=["toolbox", "leap_rig", "application", "address"])
 def robot(request, processes, wait_until):
     """The address of a server, and whether it may be moved."""
     if request.param == "address":
@@ -48,22 +98,198 @@ def robot(request, processes, wait_until):
         return (host, int(port)), False
     if request.param == "application":
         return ("127.0.0.1", request.getfixturevalue("serve")().port), True
-    process = processes.start(sys.executable, "-c", SIMULATED, "--port", "0", "--control-port", "0")
+    ports = ("--port", "0", "--control-port", "0", "--robot-server", request.param)
+    process = processes.start(sys.executable, "-c", SIMULATED, *ports)
     found = wait_until(lambda: re.search(r"listening on \S+:(\d+),", process.log_path.read_text()), 30.0, "the port")
     return ("127.0.0.1", int(found[1])), True
 
 
 def test_words_are_answered_alike(robot, line_to):
-    """What was not answered is not: the next answer is that of a word that always is."""
     address, may_move = robot
     client = line_to(*address)
+    assert not answered_otherwise(client, STILL + GOALS * may_move)
+    client.send("end")
+    assert client.hear() == ""
+
+
+def answered_otherwise(client, words):
+    """Returns the words that are not answered as expected. What was not answered is not: the next answer is that of a
+    word that always is."""
     wrong = []
-    for word, expected in STILL + GOALS * may_move:
+    for word, expected in words:
         client.send(word)
         came = "".join(client.hear() for _ in range(expected.count("\n")))
         client.send("getPin3")
         rest = client.hear() + client.hear()
         if not re.fullmatch(expected, came) or rest not in ("1\n\n", "0\n\n"):
             wrong.append((word, came, rest))
+    return wrong
+
+
+class VirtualLine:
+    """A plain client in virtual time."""
+
+    def __init__(self, wires, server):
+        self.socket = wires.connect((server.host, server.port))
+        self.socket.settimeout(600.0)
+        self.replies = self.socket.makefile("rb")
+
+    def send(self, line):
+        self.socket.sendall(f"{line}\n".encode())
+
+    def hear(self):
+        return self.replies.readline().decode("ascii")
+
+    def ask(self, line):
+        self.send(line)
+        return self.hear()
+
+    def close(self):
+        self.replies.close()
+        self.socket.close()
+
+
+class Simulated:
+    """The simulated one, in virtual time."""
+
+    def __init__(self, wires):
+        with wires.scheduler.in_group("robot"):
+            arm = SimulatedArm(Robot(read_urdf("LBR7R800", "MF_elektrisch")), ArmSettings())
+            self.server = LeapRigServer(arm, ServerSettings(), "127.0.0.1", 0, 0)
+            clock.Thread(target=self.server.run, name="robot", daemon=True).start()
+        self.wires, self.control = wires, ControlClient("127.0.0.1", self.server.control_port)
+
+    def connect(self):
+        return VirtualLine(self.wires, self.server)
+
+    def push(self, newton):
+        self.control.ask("set_tcp_force", value=[0, newton, 0])
+
+
+class OnStubs:
+    """The robot application, in time that is slow; its motions last until they are stopped."""
+
+    def __init__(self, serve):
+        self.server = serve(leaprig__pace=0.1)
+        self.server.say(speed=1e-6)
+        self.connect = self.server.connect
+
+    def push(self, newton):
+        self.server.say(force=f"0,{newton},0")
+
+
+@pytest.fixture(params=["simulated", pytest.param("application", marks=pytest.mark.long)])
+def ours(request):
+    """A server of the extension that may be moved, and to which it may be anything that happens."""
+    of = request.getfixturevalue
+    return OnStubs(of("serve")) if request.param == "application" else Simulated(of("wires"))
+
+
+@pytest.mark.parametrize("where", ["simulated", "application", "address"])
+def test_words_of_the_extension_are_answered_alike(request, where, line_to):
+    of = request.getfixturevalue
+    if where == "address":
+        if "LEAP_RIG_ROBOT" not in os.environ:
+            pytest.skip("LEAP_RIG_ROBOT=HOST:PORT names no robot")
+        host, port = os.environ["LEAP_RIG_ROBOT"].rsplit(":", 1)
+        client = line_to(host, int(port))
+        client.send("lrHello_1_\ngetPin3")
+        if not client.hear().startswith("ok_lrHello"):
+            pytest.skip("the server at that address has no extension")
+        client.hear(), client.hear()
+    else:
+        client = (OnStubs(of("serve")) if where == "application" else Simulated(of("wires"))).connect()
+    assert not answered_otherwise(client, OURS_STILL + OURS_GOALS * (where != "address"))
     client.send("end")
-    assert not wrong and client.hear() == ""
+    assert client.hear() == ""
+
+
+def joined(ours, watchdog):
+    """Returns a client that said hello, and its second connection."""
+    client, second = ours.connect(), ours.connect()
+    number = client.ask("lrHello_1_").split("_")[4]
+    assert second.ask(f"lrChannel_{number}_") == f"ok_lrChannel_{number}.0_\n"
+    assert client.ask(f"lrWatchdog_{watchdog}_").startswith("ok_")
+    return client, second
+
+
+def begin(client, start):
+    """Starts what takes long."""
+    assert client.ask("jRelVel_0.05_") == client.ask(HOME) == "done\n"
+    assert client.ask(start) in ("done\n", f"ok_{start}\n"), start
+
+
+def until(second, mode):
+    """Waits for the mode that the second connection hears."""
+    while not second.ask("lrState_").startswith(f"state_{mode}_"):
+        clock.sleep(0.01)
+
+
+def test_a_stop_is_answered_alike(ours):
+    client, second = joined(ours, "2_60")
+    assert client.ask(TOOL).startswith("ok_")
+    for start in ("doPTPinJS", "doPTP!inJS_0_-100_100_", "lrGuide_"):
+        begin(client, start)
+        until(second, "MOTION")
+        assert second.ask("lrStop_") == "ok_lrStop_\n"
+        assert client.hear() == "stopped_the client_\n"
+        assert second.hear() == "event_the motion was stopped by the client_\n"
+    for start, kind in (("startDirectServoJoints", ""), ("lrFloat_", ", FLOAT")):
+        begin(client, start)
+        assert second.hear() == f"event_servo mode begins{kind}_\n"
+        assert second.ask("lrStop_") == "ok_lrStop_\n"
+        assert second.hear() == "event_servo mode ends: the client_\n"
+        until(second, "IDLE")
+
+
+def test_a_pause_is_answered_alike(ours):
+    client, second = joined(ours, "2_60")
+    begin(client, "doPTPinJS")
+    until(second, "MOTION")
+    for end in ("lrResume_", "lrCancel_"):
+        assert second.ask("lrPause_") == "ok_lrPause_\n"
+        assert second.hear() == "event_the motion is paused_\n"
+        assert second.ask("lrPause_") == "no_lrPause_the mode is PAUSED_\n"
+        assert second.ask(end) == f"ok_{end}\n"
+        if end == "lrResume_":
+            assert second.hear() == "event_the motion is resumed_\n"
+            until(second, "MOTION")
+    assert client.hear() == "stopped_a cancel_\n"
+    assert second.hear() == "event_the motion was stopped by a cancel_\n"
+
+
+def test_silence_is_answered_alike(ours):
+    client, second = joined(ours, "0.05_60")
+    begin(client, "doPTPinJS")
+    assert client.hear() == "stopped_the watchdog_\n"
+    assert second.hear() == "event_the motion was stopped by the watchdog_\n"
+    begin(client, "startDirectServoJoints")
+    said = [second.hear() for _ in range(2)]
+    assert said == ["event_servo mode begins_\n", "event_the arm brakes and holds: the client was silent_\n"]
+    assert client.ask(HOME) == "no_jp_held: the client was silent_\n"
+    assert client.ask("lrResume_") == "ok_lrResume_\n"
+    assert second.hear() == "event_servo mode goes on_\n"
+
+
+def test_contact_is_answered_alike(ours):
+    client, second = joined(ours, "2_60")
+    assert client.ask("lrContact_0_0_0_0_0_0_0_10_").startswith("ok_")
+    begin(client, "doPTPinJS")
+    until(second, "MOTION")
+    ours.push(12.0)
+    assert client.hear() == "stopped_contact, force_\n"
+    assert second.hear() == "event_contact: force_\n"
+
+
+def test_a_second_and_the_next_client_are_answered_alike(ours):
+    client, stranger = ours.connect(), ours.connect()
+    begin(client, "doPTPinJS")
+    assert stranger.ask("lrBeat_") == "busy_{}:{}_\n".format(*client.socket.getsockname()) and stranger.hear() == ""
+    stopper = ours.connect()
+    assert stopper.ask("lrStop_") == "ok_lrStop_\n" and client.hear() == "nak\n"
+    begin(client, "doPTPinJS")
+    client.close()
+    while not stopper.ask("lrHello_1_").startswith("ok_"):
+        stopper.close()
+        stopper = ours.connect()
+    assert stopper.ask("lrState_").startswith("state_IDLE_"), "the arm has stopped before the next one is served"

@@ -1,2 +1,2 @@
-"""The simulated KUKA Sunrise controller: an arm with its drives, and the Sunrise Toolbox server application on it. It
-speaks the toolbox's text lines on TCP."""
+"""The simulated KUKA Sunrise controller: an arm with its drives, and on it the Sunrise Toolbox server application or
+the rig's own robot application. It speaks their text lines on TCP."""
