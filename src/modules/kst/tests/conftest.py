@@ -94,6 +94,62 @@ class ScriptedServer:
         return self._once[word].pop(0) if self._once.get(word) else self.answers.get(word, b"")
 
 
+class ScriptedApplication(ScriptedServer):
+    """The same with the words of the robot application, and further connections.
+
+    Attributes:
+        channel: the lines on them."""
+
+    STATE = "state_{mode}_" + "_".join(["0.5"] * 7 + ["1.5"] * 7 + ["2.5"] * 7 + ["3.5"] * 3 + ["4.5"] * 3) + "_2.0_"
+
+    def __init__(self, wires: Wires) -> None:
+        self.channel: list[str] = []
+        self._second: list[Socket] = []
+        super().__init__(wires)
+        self.answers.update(
+            lrHello=b"ok_lrHello_leapRig_1_123456_watchdog_stop_contact_tool_soft_float_guide_state_\n",
+            lrWatchdog=b"ok_lrWatchdog_0.2_10.0_\n",
+            lrBeat=b"ok_lrBeat_\n",
+            lrPause=b"ok_lrPause_\n",
+            lrResume=b"no_lrResume_the mode is IDLE_\n",
+            lrTool=b"ok_lrTool_1.12_-22.0_0.0_72.7_\n",
+        )
+        self.be("SERVO")
+
+    def be(self, mode: str, rest: str = "T1_HAND_NOSTOP") -> None:
+        """Sets the mode that it says."""
+        self.answers["lrState"] = self.answers["jpState"] = f"{self.STATE.format(mode=mode)}{rest}_\n".encode()
+
+    def tell(self, event: str) -> None:
+        """Says something on the channel; returns as it arrives."""
+        self._second[0].sendall(f"event_{event}_\n".encode())
+        clock.sleep(DELAY_S)
+
+    def lose_channel(self) -> None:
+        """Closes it."""
+        self._second[0].really_close()
+        clock.sleep(DELAY_S)
+
+    def _serve(self) -> None:
+        clock.Thread(target=self._further, name="further", daemon=True).start()
+        super()._serve()
+
+    def _further(self) -> None:
+        while self.connection is None:
+            clock.sleep(DELAY_S)
+        with contextlib.suppress(OSError):
+            while True:
+                self._second.append(self._listener.accept()[0])
+                clock.Thread(target=self._hear, args=(self._second[-1],), name="channel", daemon=True).start()
+
+    def _hear(self, connection: Socket) -> None:
+        with contextlib.suppress(OSError), connection.makefile("rb") as reader:
+            for raw in reader:
+                line = raw.decode("ascii").rstrip("\n")
+                self.channel.append(line)
+                connection.sendall(f"ok_{line.split('_')[0]}_\n".encode())
+
+
 @pytest.fixture
 def takes():
     """A context that must take so many seconds."""
@@ -111,6 +167,30 @@ def takes():
 def server(wires):
     """A scripted server that behaves well until told otherwise."""
     return ScriptedServer(wires)
+
+
+@pytest.fixture
+def application(wires):
+    """A scripted robot application."""
+    return ScriptedApplication(wires)
+
+
+@pytest.fixture
+def greet(application):
+    """Connects a client to it; settings as keywords."""
+    from kst import ApplicationSettings
+    from kst.client import KstClient
+
+    clients = []
+
+    def greet(tool=None, **settings):
+        known = ApplicationSettings(**settings)
+        clients.append(KstClient.connect("127.0.0.1", application.port, tool, application=known))
+        return clients[-1]
+
+    yield greet
+    for client in clients:
+        client.close()
 
 
 @pytest.fixture

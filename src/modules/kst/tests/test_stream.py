@@ -23,7 +23,7 @@ from kst.session import LEAST_WINDOW_S, MAX_OPEN, KstSession, KstTiming
 TIMING = KstTiming(connect_settle=0.0, tool_settle=0.0, servo_start=0.0)
 PROBES = {"getPin3", "getJointsPositions"}
 CODE = {"getJointsPositions": 1, "jpJP": 1, "jpExT": 2, "jpMT": 3}
-STREAMED = [feedback for feedback in Feedback if feedback is not Feedback.NOTHING]
+STREAMED = [feedback for feedback in Feedback if feedback not in (Feedback.NOTHING, Feedback.STATE)]
 
 
 class Server(SimulatedWire):

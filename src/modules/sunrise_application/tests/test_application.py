@@ -14,7 +14,7 @@ import time
 import pytest
 
 from fuzz.mutations import edited_bytes
-from kst import Feedback, KstClient, run_ptp
+from kst import ApplicationSettings, Feedback, KstClient, MotionStopped, run_ptp
 from kst.session import KstTiming
 
 pytestmark = pytest.mark.real
@@ -89,6 +89,34 @@ def test_our_client_moves_it_and_comes_again(serve):
                 q[6] += 0.001
                 arm.servo(q, feedback)
             arm.stop_joint_servo()
+
+
+def test_our_client_uses_its_words(serve, wait_until):
+    server = serve(**SLOW_CLOCK)
+    settings = ApplicationSettings(2.0, 60.0, tool_mass=1.12, tool_centre=(-0.022, 0.0, 0.0727))
+    with KstClient.connect("127.0.0.1", server.port, timing=PATIENT, application=settings) as arm:
+        assert "CALL attach 1.12 kg" in server.log
+        arm.set_load(0.5, (0.0, 0.0, 0.106))
+        server.say(speed=STILL)
+        arm.start_ptp_joints([0.0, 0.2, 0.0, -0.4, 0.0, 0.2, 0.0], 0.5)
+        assert arm.state().mode == "MOTION"
+        arm.pause_motion()
+        wait_until(lambda: arm.state().mode == "PAUSED", 30.0, "the pause")
+        arm.resume_motion()
+        wait_until(lambda: arm.state().mode == "MOTION", 30.0, "the motion")
+        arm.stop_motion()
+        with pytest.raises(MotionStopped, match="stopped by the client"):
+            while not arm.ptp_arrived():
+                arm.beat()
+        wait_until(lambda: "the motion was stopped by the client" in arm.events(), 30.0, "the event")
+        arm.start_joint_servo()
+        state = arm.servo(arm.joints(), Feedback.STATE)
+        assert (state.mode, state.safety_stop) == ("SERVO", "NOSTOP")
+        arm.stop_motion()
+        with pytest.raises(MotionStopped, match="servo mode ends: the client"):
+            while True:
+                arm.servo(state.joints, Feedback.STATE)
+        arm.stop_joint_servo()
 
 
 @pytest.mark.parametrize("start", ["doPTPinJS", "doPTPinCSRelBase", "lrGuide_"])

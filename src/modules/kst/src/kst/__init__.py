@@ -3,6 +3,7 @@ over `session` (pairs answers with commands), `transport` (socket), `codec` (wir
 
 from __future__ import annotations
 
+from kst.application import ApplicationSettings, RobotState
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback, ToolTransform
 from kst.errors import (
@@ -13,12 +14,15 @@ from kst.errors import (
     KstError,
     MotionInterrupted,
     MotionRefused,
+    MotionStopped,
     NoServer,
+    NotLeapRig,
     PtpFailed,
     ReplyTimeout,
     ServerBusy,
     ToolNotAttached,
     UnexpectedReply,
+    WordRefused,
     WrongMode,
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits
@@ -27,8 +31,9 @@ from kst.ptp_client import read_joints, run_ptp
 from kst.session import KstTiming, LinkCounts
 
 __all__ = [
-    "LBR_IIWA_LIMITS", "BadJoints", "BadVelocity", "ConnectionLost", "Feedback", "ForeignServer", "JointLimits",
-    "KstClient", "KstError", "KstMode", "KstTiming", "LinkCounts", "MotionInterrupted", "MotionRefused", "NoServer",
-    "PtpApproach", "PtpFailed", "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout",
-    "ServerBusy", "ToolNotAttached", "ToolTransform", "UnexpectedReply", "WrongMode", "read_joints", "run_ptp",
+    "LBR_IIWA_LIMITS", "ApplicationSettings", "BadJoints", "BadVelocity", "ConnectionLost", "Feedback",
+    "ForeignServer", "JointLimits", "KstClient", "KstError", "KstMode", "KstTiming", "LinkCounts",
+    "MotionInterrupted", "MotionRefused", "MotionStopped", "NoServer", "NotLeapRig", "PtpApproach", "PtpFailed",
+    "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout", "RobotState", "ServerBusy",
+    "ToolNotAttached", "ToolTransform", "UnexpectedReply", "WordRefused", "WrongMode", "read_joints", "run_ptp",
 ]  # fmt: skip

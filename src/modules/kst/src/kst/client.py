@@ -16,7 +16,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kst import codec
+from kst import application, codec
+from kst.application import ApplicationSettings, RobotState, StopChannel
 from kst.codec import Feedback, KstCommand, KstReply, ReplyKind, ToolTransform
 from kst.errors import (
     ConnectionLost,
@@ -24,11 +25,14 @@ from kst.errors import (
     KstError,
     MotionInterrupted,
     MotionRefused,
+    MotionStopped,
     NoServer,
+    NotLeapRig,
     ReplyTimeout,
     ServerBusy,
     ToolNotAttached,
     UnexpectedReply,
+    WordRefused,
     WrongMode,
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
@@ -37,6 +41,7 @@ from kst.stranger import stranger
 from kst.transport import KstTransport
 
 LATE_END_S = 2.0  # the final word of a motion comes sooner after the arrival than this, or not at all [s]
+BEAT_S = 0.05  # time between two beats while the client waits [s]
 OVERDUE_S = 0.002  # an answer is overdue once it takes this much longer than twice the usual time [s]
 _FEEDBACK = {**{feedback.value[0]: feedback for feedback in Feedback}, codec.JOINTS.word: Feedback.JOINTS}
 
@@ -60,11 +65,17 @@ class KstClient:
         UnexpectedReply: the answer does not fit the command.
         MotionRefused: the controller refused with a `nak`, or had left servo mode by itself; the tool is attached
             again.
+        MotionStopped: the robot application has stopped what moved; WordRefused: it refused this command.
         WrongMode: the server never answers the command in the present mode; nothing was sent.
         BadJoints, BadVelocity, ValueError: a goal, velocity or pin out of range; nothing was sent."""
 
     def __init__(self, session: KstSession, tool: ToolTransform, limits: JointLimits) -> None:
         self._session = session
+        self._application: ApplicationSettings | None = None
+        self._channel: StopChannel | None = None
+        self._heard: list[str] = []  # from the robot application, unasked
+        self._load = (0.0, np.zeros(3))  # that was told to it: mass [kg], centre [m]
+        self.abilities: frozenset[str] = frozenset()  # of the robot application; of the toolbox none
         self.monotonic = session.monotonic  # the time of the link [s]
         self._tool = tool
         self._limits = limits
@@ -96,16 +107,19 @@ class KstClient:
         limits: JointLimits | None = None,
         timeout: float = 5.0,
         timing: KstTiming | None = None,
+        application: ApplicationSettings | None = None,
     ) -> KstClient:
         """Connects and attaches the tool, T_flange_tool, shape (4, 4) [m]; None is the flange itself. Raises NoServer:
         nobody listens, or the connection ended without a word; ForeignServer: something answers, but not as the toolbox
         does; ServerBusy: the server accepted and stays silent; ToolNotAttached: the server answers but does not attach
-        the tool; ValueError: the tool is not a rigid pose in metres.
+        the tool; NotLeapRig: it is not the robot application; ValueError: the tool is not a rigid pose in metres.
 
         Args:
             limits: joint ranges that goals must keep to; None: those of the LBR iiwa.
             timeout: longest wait for the connection, and again for the first answer [s].
-            timing: the other waits."""
+            timing: the other waits.
+            application: the server must be the robot application, which gets this; None: it is spoken to as the
+                toolbox's, whatever it is."""
         if not isinstance(tool, ToolTransform):
             tool = ToolTransform(np.eye(4) if tool is None else tool)
         timing = KstTiming() if timing is None else timing
@@ -114,11 +128,18 @@ class KstClient:
         client = cls(session, tool, LBR_IIWA_LIMITS if limits is None else limits)
         address = f"{host}:{port}"
         try:
-            transport.pause(timing.connect_settle)
-            client._attach_tool(patience=max(timeout - timing.reply, timing.reply))
+            patience = max(timeout - timing.reply, timing.reply)
+            if application is None:
+                transport.pause(timing.connect_settle)
+            else:
+                client._greet(host, port, application, timeout, patience)
+            client._attach_tool(patience)
         except (ConnectionLost, ReplyTimeout, UnexpectedReply) as error:
             ended = transport.ended_by_peer
             client.close()
+            holder = transport.holder
+            if holder is not None:
+                raise ServerBusy(f"{address} is held by {holder}; end that client", address=address) from error
             if transport.is_foreign:
                 what = stranger(address, "the toolbox's server", transport.heard)
                 cure = "check address and port, and the version of MatlabToolboxServer"
@@ -141,6 +162,115 @@ class KstClient:
             client.close()
             raise
         return client
+
+    def _greet(
+        self, host: str, port: int, settings: ApplicationSettings, timeout: float, patience: float | None
+    ) -> None:
+        """Says hello to the robot application, joins it a second time, and sets its watchdog."""
+        address, session = f"{host}:{port}", self._session
+        try:
+            reply = session.ask(application.HELLO)
+        except ReplyTimeout as error:
+            session.resynchronise(patience)
+            raise NotLeapRig(
+                f"the controller at {address} speaks the toolbox's words only; start LeapRigServer on the smartPad, or"
+                " set robot_server to toolbox",
+                address=address,
+            ) from error
+        hello = application.parse_hello(reply)
+        if hello is None or hello.version != application.VERSION:
+            raise NotLeapRig(
+                f"the controller at {address} answered hello by `{reply.text}`, but this client knows version"
+                f" {application.VERSION} of LeapRigServer; install the one of this workspace",
+                address=address,
+            )
+        self._application, self.abilities = settings, hello.abilities
+        self._ask(application.watchdog(settings))
+        self._channel = StopChannel(host, port, hello.session, timeout)
+
+    @property
+    def server(self) -> str:
+        """What is spoken to, in words."""
+        return "toolbox" if self._application is None else f"LeapRigServer {application.VERSION}"
+
+    def stop_motion(self) -> None:
+        """Stops whatever moves, by the second connection to the robot application; from any thread, and also while
+        this client waits or its link hangs. Then `ptp_arrived` raises MotionStopped. Raises KstError: the word could
+        not be sent; WrongMode: the toolbox's server knows no such word."""
+        if self._channel is None:
+            raise WrongMode("the toolbox's server cannot stop a motion; only the smartPad can", mode=self.mode)
+        self._channel.stop()
+
+    def pause_motion(self) -> None:
+        """Pauses the PTP motion, which `resume_motion` continues; raises WordRefused: none runs."""
+        self._require_application("pause")
+        self._ask(application.PAUSE)
+
+    def resume_motion(self) -> None:
+        """Continues a motion that was paused; raises WordRefused: none was."""
+        self._require_application("resume")
+        self._ask(application.RESUME)
+
+    def beat(self) -> None:
+        """Tells the watchdog of the robot application, if that is there, that this program is alive, as every command
+        does."""
+        if self._application is not None:
+            self._ask(application.BEAT)
+
+    def state(self) -> RobotState:
+        """Returns all that the robot application measures; in every mode."""
+        self._require_application("tell its state")
+        timing = self._session.timing
+        timeout = timing.servo_reply if self.mode is KstMode.SERVO else timing.reply
+        reply = self._ask(application.STATE, timeout)
+        return application.state_of(reply, self._numbers(application.STATE, reply))
+
+    def set_load(self, mass: float, centre: ArrayLike) -> None:
+        """Tells the robot application what the hand holds: mass [kg], centre in the flange frame, shape (3,) [m]; at
+        rest only. Raises WordRefused: also if the robot reckons with something else."""
+        self._require_application("take a load")
+        self._require_idle("a change of the load")
+        command = application.weigh_load(mass, np.asarray(centre, dtype=float).tolist())
+        self._load = float(mass), np.asarray(centre, dtype=float)
+        self._check_mass(command, self._accept(command))
+
+    def events(self) -> list[str]:
+        """Returns what the robot application has said unasked since the last call, parts of sentences."""
+        self._hear()
+        heard, self._heard = self._heard, []
+        return heard
+
+    def _hear(self) -> None:
+        if self._channel is not None:
+            self._heard += self._channel.events()
+
+    def _require_application(self, what: str) -> None:
+        if self._application is None:
+            raise WrongMode(f"the toolbox's server cannot {what}; the robot application can", mode=self.mode)
+
+    def _check_mass(self, command: KstCommand, reply: KstReply) -> None:
+        """Compares tool and load together with what the robot says it reckons with; raises WordRefused."""
+        assert self._application is not None
+        near_kg, near_mm = 1e-3, 0.5
+        (load, at), tool = self._load, self._application.tool_mass
+        mass = tool + load
+        moment = 1000.0 * (tool * np.asarray(self._application.tool_centre, dtype=float) + load * at)
+        centre = moment / mass if mass > 0.0 else np.zeros(3)
+        told = application.numbers_of(reply) or ()
+        if len(told) == 4 and abs(told[0] - mass) <= near_kg and np.max(np.abs(centre - told[1:])) <= near_mm:
+            return
+        raise WordRefused(
+            f"the robot reckons with `{reply.text}` instead of {mass:.3f} kg at {centre.round(1).tolist()} mm",
+            command=command.word,
+        )
+
+    def _wait_alive(self, duration: float) -> None:
+        """Waits while the watchdog of the robot application hears this program."""
+        end = self.monotonic() + duration
+        while self._application is not None and self.monotonic() + BEAT_S < end:
+            self.beat()
+            self._session.transport.pause(BEAT_S)
+        self._session.transport.pause(max(end - self.monotonic(), 0.0))
 
     def __enter__(self) -> KstClient:
         return self
@@ -213,6 +343,7 @@ class KstClient:
                     command=codec.START_PTP.word,
                 )
             self._session.wait_for_word(deadline)
+            self.beat()
 
     def knows_guarded_ptp(self) -> bool:
         """Returns whether the server knows PTP motions that end at a torque; only when idle. Nothing moves. Servers
@@ -282,7 +413,14 @@ class KstClient:
             self._refused("the PTP motion (an unreachable goal, or a stop during the motion)")
         if final is ReplyKind.INTERRUPTED:
             raise self._interrupted()
+        if final is ReplyKind.STOPPED:
+            why = self._session.stopped_by
+            raise self._interrupted() if why.startswith("contact") else self._stopped("the motion was stopped by", why)
         return True
+
+    @staticmethod
+    def _stopped(what: str, reason: str) -> MotionStopped:
+        return MotionStopped(f"{what} {reason}", reason=reason)
 
     def _interrupted(self) -> MotionInterrupted:
         """Asks for the torques at which the arm stands: the server does not tell which of them ended the motion."""
@@ -326,7 +464,7 @@ class KstClient:
             self._mode = KstMode.SERVO
             raise ReplyTimeout(f"{error}; servo mode may have started", pending=True) from error
         self._mode = KstMode.SERVO
-        self._session.transport.pause(self._session.timing.servo_start)
+        self._wait_alive(self._session.timing.servo_start)
 
     def stop_joint_servo(self) -> None:
         """Waits until the arm stands still at its last goal and stops the servo."""
@@ -339,7 +477,7 @@ class KstClient:
         self._session.poll()
         self._heed_refusal()
 
-    def servo(self, q: ArrayLike, feedback: Feedback = Feedback.DONE) -> np.ndarray | None:
+    def servo(self, q: ArrayLike, feedback: Feedback = Feedback.DONE) -> np.ndarray | RobotState | None:
         """Sets the servo's goal to q, shape (7,) [rad], and returns the feedback. DONE is only an acknowledgement.
         NOTHING is no answer: the caller keeps the pace and sends an answered goal now and then. The others are
         measurements, taken before the goal acts. UnexpectedReply: also for POSE from a server older than May 2019,
@@ -347,9 +485,10 @@ class KstClient:
 
         Returns:
             JOINTS: shape (7,) [rad]. EXTERNAL_TORQUES, MEASURED_TORQUES: shape (7,) [Nm]. POSE of the tool in the base,
-                shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. None for DONE and NOTHING."""
+                shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. STATE: a RobotState (robot application).
+                None for DONE and NOTHING."""
         self._require_servo()
-        command = codec.joint_goal(self._limits.check(q).tolist(), feedback)
+        command = self._goal_command(q, feedback)
         if feedback is Feedback.NOTHING:
             self._session.post(command)
             self._heed_refusal()
@@ -357,8 +496,10 @@ class KstClient:
         reply = self._ask(command, self._session.timing.servo_reply)
         if feedback is Feedback.DONE:
             return None
-        numbers = self._numbers(command, reply)
-        return codec.pose_from_fields(numbers) if feedback is Feedback.POSE else numbers
+        value = self._value(command, reply)
+        if isinstance(value, KstError):
+            raise value
+        return value
 
     def stream(self, q: ArrayLike, feedback: Feedback = Feedback.JOINTS, wait: bool = True) -> Feedback:
         """Sets the servo's goal to q, shape (7,) [rad], without waiting for its answer, which `answers` returns.
@@ -366,10 +507,9 @@ class KstClient:
         that looks at `silence` before each goal need not `wait`; then no goal becomes old here. Returns the
         requested feedback: DONE instead of one whose answer could be mistaken for another, if one were lost."""
         self._require_servo()
-        angles = self._limits.check(q).tolist()
         if not self._is_unmistakable(feedback):
             feedback = Feedback.DONE
-        self._session.stream(codec.joint_goal(angles, feedback), wait)
+        self._session.stream(self._goal_command(q, feedback), wait)
         self._heed_refusal()
         return feedback
 
@@ -383,7 +523,7 @@ class KstClient:
         """The number of streamed goals whose answers have not been read yet."""
         return len(self._session.open)
 
-    def answers(self, wait: float = 0.0) -> list[tuple[Feedback, np.ndarray | UnexpectedReply | None]]:
+    def answers(self, wait: float = 0.0) -> list[tuple[Feedback, np.ndarray | RobotState | KstError | None]]:
         """Returns the answers to streamed goals that have come since the last call, the oldest first. Waits up to
         `wait` seconds until none is open. A value is what `servo` returns, or the error it would raise."""
         session = self._session
@@ -392,15 +532,20 @@ class KstClient:
         session.arrived.clear()
         return found
 
-    def _value(self, command: KstCommand, reply: KstReply) -> np.ndarray | UnexpectedReply | None:
+    def _value(self, command: KstCommand, reply: KstReply) -> np.ndarray | RobotState | KstError | None:
         if not command.accepts(reply):
             return self._session.unexpected(command, reply)
+        if reply.kind is ReplyKind.NO:
+            return self._no(command, reply)
         if command.answer is ReplyKind.DONE:
             return None
         try:
             numbers = self._numbers(command, reply)
         except UnexpectedReply as error:
             return error
+        if command.answer is ReplyKind.STATE:
+            state = application.state_of(reply, numbers)
+            return state if state.mode == "SERVO" or self.mode is not KstMode.SERVO else self._left_servo(state.mode)
         return codec.pose_from_fields(numbers) if command.answer is ReplyKind.SIX else numbers
 
     def _is_unmistakable(self, feedback: Feedback) -> bool:
@@ -435,6 +580,8 @@ class KstClient:
                 self._session.rest(min(timing.rest, timing.farewell))
         with contextlib.suppress(KstError):
             self._session.farewell(stop_servo=servo)
+        if self._channel is not None:
+            self._channel.close()
         self._mode = KstMode.IDLE
         self._session.transport.close()
 
@@ -453,9 +600,22 @@ class KstClient:
             raise WrongMode(f"`{command.word}` is not answered during a PTP motion; {cure}", mode=self.mode)
         return self._numbers(command, self._accept(command))
 
+    def _left_servo(self, mode: str) -> MotionStopped:
+        self._hear()
+        said = [event for event in self._heard if "brakes" in event or "ends" in event]
+        reason = said[-1] if said else "it holds the arm" if mode == "HELD" else "servo mode has ended"
+        return self._stopped("the robot follows no goals:", reason)
+
+    def _no(self, command: KstCommand, reply: KstReply) -> KstError:
+        if reply.reason.startswith("held") and self.mode is KstMode.SERVO:
+            return self._left_servo("HELD")
+        return WordRefused(f"the robot refused `{command.word}`: {reply.reason}", command=command.word)
+
     def _ask(self, command: KstCommand, timeout: float | None = None) -> KstReply:
         reply = self._session.ask(command, timeout)
         self._heed_refusal()
+        if reply.kind is ReplyKind.NO:
+            raise self._no(command, reply)
         return reply
 
     def _accept(self, command: KstCommand, goal: np.ndarray | None = None, start: np.ndarray | None = None) -> KstReply:
@@ -465,6 +625,11 @@ class KstClient:
             self._end_motion()
             self._refused(f"`{command.word}`")
         self._heed_refusal()
+        if reply.kind in (ReplyKind.NO, ReplyKind.STOPPED):
+            self._end_motion()
+            if reply.kind is ReplyKind.STOPPED:
+                raise self._stopped(f"`{command.word}` was stopped by", reply.reason)
+            raise self._no(command, reply)
         return reply
 
     def _heed_refusal(self) -> None:
@@ -478,13 +643,17 @@ class KstClient:
 
     def _refused(self, what: str) -> None:
         """Raises MotionRefused, after attaching the tool again, which the server dropped with its `nak`."""
+        if self._application is not None:  # it keeps its tool
+            raise MotionRefused(f"the controller refused {what}; look at the smartPad for the reason")
         self._attach_tool()
         raise MotionRefused(
             f"the controller refused {what}; look at the smartPad for the reason. The tool is attached again"
         )
 
     def _attach_tool(self, patience: float | None = None) -> None:
-        command = codec.attach_tool(self._tool)
+        settings = self._application
+        weighs = settings is not None and settings.tool_mass > 0.0
+        command = application.weigh_tool(settings, self._tool) if weighs else codec.attach_tool(self._tool)
         try:
             reply = self._session.ask_main(command, patience)
         except ReplyTimeout as error:
@@ -496,7 +665,15 @@ class KstClient:
             ) from error
         if reply.kind is ReplyKind.NAK:
             raise ToolNotAttached(f"the controller refused the tool `{command.line}`; restart MatlabToolboxServer")
-        self._session.transport.pause(self._session.timing.tool_settle)
+        if reply.kind is ReplyKind.NO:
+            raise ToolNotAttached(f"the robot refused the tool `{command.line}`: {reply.reason}")
+        if weighs:
+            try:
+                self._check_mass(command, reply)
+            except WordRefused as error:
+                raise ToolNotAttached(str(error)) from error
+        if settings is None:
+            self._session.transport.pause(self._session.timing.tool_settle)
 
     def _end_motion(self) -> None:
         self._session.expect_final(False)
@@ -507,6 +684,12 @@ class KstClient:
             raise WrongMode(f"{what} cannot start during a PTP motion; wait for ptp_arrived()", mode=self.mode)
         if self.mode is KstMode.SERVO:
             raise WrongMode(f"{what} cannot start in servo mode; call stop_joint_servo() first", mode=self.mode)
+
+    def _goal_command(self, q: ArrayLike, feedback: Feedback) -> KstCommand:
+        angles = self._limits.check(q).tolist()
+        if feedback is Feedback.STATE:
+            self._require_application("answer a goal by its state")
+        return codec.joint_goal(angles, feedback)
 
     def _require_servo(self) -> None:
         if self.mode is not KstMode.SERVO:

@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from kst.limits import check_pose
 
-MAX_LINE = 512  # longest line that counts as a reply [bytes]; seven doubles in Java's longest text need about 180
+MAX_LINE = 1024  # longest line that counts as a reply [bytes]; 28 doubles in Java's longest text need about 700
 MAX_TOOL_M = 1.0  # a tool point farther from the flange is refused: somebody mixed up millimetres and metres
+STATE_FIELDS = 33  # of a `state`: the word, the mode, 28 numbers, operation mode, enabling, safety stop
 OUTPUT_PINS = (1, 2, 11, 12)
 INPUT_PINS = (3, 4, 10, 13, 16)
 _DIGITS = b"0123456789.-E_"  # all that a line of finite numbers consists of
@@ -43,11 +44,19 @@ class ReplyKind(enum.Enum):
     THREE = "3 numbers"
     SIX = "6 numbers"
     SEVEN = "7 numbers"
+    OK = "ok"
+    NO = "no"
+    STATE = "state"
+    STOPPED = "stopped"
+    EVENT = "event"
+    BUSY = "busy"
     FOREIGN = "not a reply of the toolbox"
 
 
 _SEVEN = 7 * "_%r" + "_"
 _KIND_OF_COUNT = {3: ReplyKind.THREE, 6: ReplyKind.SIX, 7: ReplyKind.SEVEN}
+_OF_APPLICATION = (ReplyKind.OK, ReplyKind.NO, ReplyKind.STATE, ReplyKind.STOPPED, ReplyKind.EVENT, ReplyKind.BUSY)
+_KIND_OF_WORD = {kind.value: kind for kind in _OF_APPLICATION}
 
 
 class KstCommand(NamedTuple):
@@ -63,12 +72,18 @@ class KstCommand(NamedTuple):
 
     @property
     def starts_motion(self) -> bool:
-        """Whether it starts a PTP motion, which says a second word at its end."""
-        return self.word in ("doPTPinJS", "doPTP!inJS")
+        """Whether it starts a motion, which says a second word at its end."""
+        return self.word in ("doPTPinJS", "doPTP!inJS", "lrGuide")
 
     def accepts(self, reply: KstReply) -> bool:
-        """Returns whether a reply may be the answer; every command of the main thread may be refused by a `nak`."""
-        return reply.kind is self.answer or (reply.kind is ReplyKind.NAK and self.thread is ServerThread.MAIN)
+        """Returns whether a reply may be the answer; every command of the main thread may be refused by a `nak`. The
+        robot application names the word that it accepts or refuses."""
+        kind = reply.kind
+        if kind is ReplyKind.OK or kind is ReplyKind.NO:
+            return (kind is ReplyKind.NO or self.answer is kind) and reply.fields[:1] == (self.word,)
+        if kind is ReplyKind.STOPPED:
+            return self.word == "startDirectServoJoints"
+        return kind is self.answer or (kind is ReplyKind.NAK and self.thread is ServerThread.MAIN)
 
 
 class KstReply(NamedTuple):
@@ -77,6 +92,16 @@ class KstReply(NamedTuple):
     text: str
     kind: ReplyKind
     numbers: tuple[float, ...] = ()
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """What follows the first word, as text."""
+        return tuple(self.text.rstrip("_").split("_")[1:])
+
+    @property
+    def reason(self) -> str:
+        """Why, in the words of the robot application; a part of a sentence."""
+        return "_".join(self.fields[self.kind is ReplyKind.NO :])
 
 
 _REPLIES = {
@@ -114,6 +139,7 @@ class Feedback(enum.Enum):
     MEASURED_TORQUES = ("jpMT", ReplyKind.SEVEN)
     POSE = ("jpEEfP", ReplyKind.SIX)
     FORCE = ("jpEEfFrelEEF", ReplyKind.THREE)
+    STATE = ("jpState", ReplyKind.STATE)  # of the robot application alone
 
 
 JOINTS = KstCommand("getJointsPositions", ServerThread.READER, ReplyKind.SEVEN)
@@ -236,6 +262,13 @@ def parse_reply(line: bytes) -> KstReply:
     if kind is not None and (not line.translate(None, _DIGITS) or all(map(_NUMBER.fullmatch, fields))):
         with contextlib.suppress(ValueError):
             return KstReply(text, kind, tuple(map(float, fields)))
+    kind = _KIND_OF_WORD.get(text.split("_", 1)[0]) if text.endswith("_") else None
+    if kind is ReplyKind.STATE:
+        if len(fields) == STATE_FIELDS:
+            with contextlib.suppress(ValueError):
+                return KstReply(text, kind, tuple(map(float, fields[2 : STATE_FIELDS - 3])))
+    elif kind is not None:
+        return KstReply(text, kind)
     return KstReply(repr(text)[1:-1][:60], ReplyKind.FOREIGN)
 
 

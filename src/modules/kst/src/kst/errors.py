@@ -54,6 +54,24 @@ class MotionRefused(KstError):
     """The controller answered `nak`: it did not carry out the request."""
 
 
+class NotLeapRig(KstError):
+    """The server at `address` does not know the words of the robot application, or another version of them."""
+
+    address: str = ""
+
+
+class WordRefused(KstError):
+    """The robot application refused `command`; the message says why."""
+
+    command: str = ""
+
+
+class MotionStopped(KstError):
+    """The robot application has stopped what moved, because of `reason`, a part of a sentence."""
+
+    reason: str = ""
+
+
 class MotionInterrupted(KstError):
     """A PTP motion ended before its goal because an external joint torque left its range: the arm touched something.
     `torques`: external torques where it stands, shape (7,) [Nm]; None: they could not be read."""

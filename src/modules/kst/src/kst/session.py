@@ -29,7 +29,7 @@ ARRIVED_RAD = float(np.radians(0.1))  # an arm with no joint farther from the go
 STILL_RAD = 5e-4  # joints that change less than this between two readings, `KstTiming.quiet` apart, stand still [rad]
 MAX_OPEN = 100  # more streamed goals than this are never open
 LEAST_WINDOW_S = 0.024  # a shorter one would keep TCP from noticing at once, by later packets, that one was lost [s]
-_FINAL = (ReplyKind.DONE, ReplyKind.NAK, ReplyKind.INTERRUPTED)
+_FINAL = (ReplyKind.DONE, ReplyKind.NAK, ReplyKind.INTERRUPTED, ReplyKind.STOPPED)
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,8 @@ class KstSession:
         arrived: the streamed goals with their answers, as they came, until somebody takes them. An answer that does not
             fit its goal is there too; then the pairing is to be restored.
         usual: the longest time that an answer took lately [s].
-        final: the final word of the motion, DONE, NAK or INTERRUPTED; None before it comes.
+        final: the final word of the motion, DONE, NAK, INTERRUPTED or STOPPED; None before it comes.
+        stopped_by: what stopped it, in the words of the robot application.
         refused: an unasked `nak` came: the main thread gave up a motion and dropped the tool.
         doubt: only the joints can tell the state of the motion, because the acknowledgement of its start is missing: it
             may have been wiped, or a `done` came that is the late acknowledgement or the final word."""
@@ -95,6 +96,7 @@ class KstSession:
         self.usual = 0.0
         self._widened_at = -np.inf
         self.final: ReplyKind | None = None
+        self.stopped_by = ""
         self.refused = self.doubt = False
         self._awaits_final = self._unacknowledged = False
         self._unanswered: KstCommand | None = None
@@ -454,6 +456,7 @@ class KstSession:
                 self._unacknowledged, self.doubt = False, True
             else:
                 self.final = reply.kind
+                self.stopped_by = reply.reason if reply.kind is ReplyKind.STOPPED else ""
             return True
         elif reply.kind is ReplyKind.NAK and not self.refused:
             self.refused = True

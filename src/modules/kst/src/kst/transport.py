@@ -98,6 +98,13 @@ class KstTransport:
         lines = KstLineSplitter().feed(self.heard)
         return bool(self.heard) and all(parse_reply(line).kind is ReplyKind.FOREIGN for line in lines)
 
+    @property
+    def holder(self) -> str | None:
+        """Who holds the arm, where the first line says that another client does."""
+        lines = KstLineSplitter().feed(self.heard)
+        first = parse_reply(lines[0]) if lines else None
+        return first.reason if first is not None and first.kind is ReplyKind.BUSY else None
+
     def waiting(self) -> list[KstReply]:
         """Returns the replies that have arrived already; does not wait."""
         self._check()
