@@ -19,6 +19,7 @@ from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.switches import SwitchState
 from kuka_control.model.tool_load import wrench_at_tool
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
+from rig_simulation.devices.sunrise.leap_rig_server import LeapRigServer
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
 from rig_simulation.files import read_urdf
@@ -39,23 +40,26 @@ class Bench:
         goals: when servo goals were sent [s].
     """
 
-    def __init__(self, scheduler, wires, **arm):
+    def __init__(self, scheduler, wires, application=None, **arm):
         self.scheduler = scheduler
         self.robot = SimulatedArm(ROBOT, ArmSettings(**arm))
         with scheduler.in_group(GROUP):
-            self.server = SunriseServer(self.robot, ServerSettings(), "127.0.0.1", 0, 0)
+            kind = SunriseServer if application is None else LeapRigServer
+            self.server = kind(self.robot, ServerSettings(), "127.0.0.1", 0, 0)
             clock.Thread(target=self.server.run, name="robot", daemon=True).start()
         settings, self.rig = rig(RealTimeConfig, time_out=5.0)
-        self.client = KstClient.connect("127.0.0.1", self.server.port, ToolTransform(self.rig.T_flange_tool))
-        _, self.up, self.down = wires.connections[-1]
+        tool = ToolTransform(self.rig.T_flange_tool)
+        self.client = KstClient.connect("127.0.0.1", self.server.port, tool, application=application)
+        _, self.up, self.down = wires.connections[0]
         self.sent, self.goals = [], []
         self.up.sent = self._note
-        arm = KstArm(self.client, partial(wrench_at_tool, self.rig.kinematics), guarded=True)
+        weighed = application is not None and application.tool_mass > 0.0
+        arm = KstArm(self.client, partial(wrench_at_tool, self.rig.kinematics), guarded=True, weighed=weighed)
         self.make = partial(assembly.real_time_loop, settings, self.rig)
         self.loop = self.make()
         self.controller = Controller(arm, self.loop)
         self.mode = "starting"
-        self.arm, self.control_on, self.enable_count = arm, True, 1
+        self.arm, self.control_on, self.enable_count, self.off_count, self.payload = arm, True, 1, 0, 0.0
 
     def freeze(self, *spans):
         """Lets the robot's controller stand still in the given spans of time [s]."""
@@ -106,7 +110,15 @@ class Bench:
         # The operator brings the hand in when the arm is at home, as the status asks for.
         shown = self.mode in ("home", "pick_up", "servo")
         desired = DesiredFrame(T, CLOCK + round(now, 2)) if shown else None
-        return Inputs(desired, CLOCK + now, SwitchState(self.control_on, self.enable_count))
+        return Inputs(desired, CLOCK + now, self.switches())
+
+    def switches(self):
+        return SwitchState(self.control_on, self.enable_count, payload=self.payload, off_count=self.off_count)
+
+    def switch(self, on):
+        self.control_on = on
+        self.enable_count += on
+        self.off_count += not on
 
     def _stand_by(self, error):
         self.control_on, self.mode = False, "stopped"
@@ -123,7 +135,7 @@ class Bench:
 
 
 @contextlib.contextmanager
-def bench(seed=0, **arm):
-    """A bench in virtual time; `arm`: settings of the robot."""
+def bench(seed=0, application=None, **arm):
+    """A bench in virtual time; `application`: on the robot's controller, None: the toolbox's; `arm`: its settings."""
     with virtual_wires(seed) as wires:
-        yield Bench(wires.scheduler, wires, **arm)
+        yield Bench(wires.scheduler, wires, application, **arm)

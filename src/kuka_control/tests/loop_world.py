@@ -12,7 +12,7 @@ import yaml
 from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about
-from kst import MotionInterrupted, MotionRefused
+from kst import MotionInterrupted, MotionRefused, MotionStopped
 from kuka_control.limits.collision import NearestPair, PathCheck
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
@@ -58,6 +58,7 @@ class FakeArm(Arm):
 
     `shift`: its joints are measured so much off [rad]; `frozen`: they are measured there. `touches`: a tuple of
     the external torques at which its PTP motion ends, shape (7,) [Nm], or None; `ranges`: in which it continues.
+    `stopped`: why the robot stops it.
     """
 
     def __init__(self):
@@ -71,7 +72,7 @@ class FakeArm(Arm):
         self.refuse = None
         self.fail = None
         self.shift = 0.0
-        self.touches = self.ranges = None
+        self.touches = self.ranges = self.stopped = None
         self._measure()
 
     def tick(self, dt):
@@ -93,6 +94,9 @@ class FakeArm(Arm):
     def ptp_arrived(self):
         assert self.mode == "ptp"
         self._refuse("end")
+        if self.stopped is not None:
+            self.mode, self.goal = "idle", self.q
+            self._stop()
         if self.touches is not None:
             (torques,), self.touches = self.touches, None
             self.mode, self.goal = "idle", self.q
@@ -114,6 +118,7 @@ class FakeArm(Arm):
         assert self.mode == "servo"
         self._fail()
         self._refuse("servo")
+        self._stop()
         self.goals.append(q)
         self.goal = q
         self._measure()
@@ -126,6 +131,11 @@ class FakeArm(Arm):
 
     def close(self):
         self.mode = "closed"
+
+    def _stop(self):
+        reason, self.stopped = self.stopped, None
+        if reason is not None:
+            raise MotionStopped("stopped", reason=reason)
 
     def _measure(self):
         self.state = ArmState(read_only(self.q + self.shift))

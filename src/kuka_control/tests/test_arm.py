@@ -18,6 +18,8 @@ def wrench_of(q, torques):
 class FakeClient:
     """Writes down what it is asked for; every answer is another array."""
 
+    abilities = frozenset()
+
     def __init__(self):
         self.asked = Counter()
         self.silent = False

@@ -24,7 +24,7 @@ class Arm:
     def __init__(self):
         self.errors, self.remarks = [], []
         self.silent = 0.0
-        self.round_trip = 0.0
+        self.round_trip, self.abilities, self.carry = 0.0, frozenset(), lambda mass: None
         self.measured_joints, self.fresh = Q, True
         self.ptp_arrived = self.read = self.stop_servo = self.start_servo = self._ask
         self.servo = self.start_ptp = lambda *_: self._ask()

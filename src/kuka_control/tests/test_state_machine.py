@@ -288,6 +288,7 @@ EVENTS = {
     Trigger.JOINTS_JUMPED: (nothing, out_of_reach_and_back(turn=-1.2)),
     Trigger.LAG: (hold, lambda t: shifted(0.1, 0.05 * t, 0.0)),
     Trigger.DISBELIEVED: (measure_wrongly, None),
+    Trigger.STOPPED: (lambda world: setattr(world.arm, "stopped", "a safety stop, STOP1"), None),
     Trigger.CONTACT: (touch, None),
     Trigger.BLOCKED: (block_and_disable, None),
     Trigger.EXIT_BLOCKED: (leave_while_blocked, None),

@@ -262,7 +262,7 @@ class TestNodes:
             raise NoServer("nobody answers")
 
         monkeypatch.setattr(controller_node.KstClient, "connect", connect)
-        config = SimpleNamespace(ip="127.0.0.1", port=1, on_this_machine=True)
+        config = SimpleNamespace(ip="127.0.0.1", port=1, on_this_machine=True, robot_server="toolbox")
         rig = SimpleNamespace(T_flange_tool=np.eye(4))
         with pytest.raises(DeviceError):
             controller_node.RobotLink(config, rig)

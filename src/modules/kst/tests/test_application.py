@@ -89,13 +89,15 @@ def test_a_robot_that_reckons_with_another_tool_is_not_used(greet, application, 
 
 
 def test_a_load_counts_with_the_tool(greet, application):
-    client = greet(**TOOL)
+    T_flange_tool = np.eye(4)
+    T_flange_tool[2, 3] = 0.18
+    client = greet(T_flange_tool, **TOOL)
     application.answers["lrLoad"] = b"ok_lrLoad_1.62_-15.21_0.0_105.817_\n"
-    client.set_load(0.5, (0.0, 0.0, 0.18))
+    client.set_load(0.5)
     assert application.lines[-1] == "lrLoad_0.5_0.0_0.0_180.0_"
     application.answers["lrLoad"] = b"ok_lrLoad_1.12_-22.0_0.0_72.7_\n"
     with pytest.raises(WordRefused, match="reckons with"):
-        client.set_load(0.5, (0.0, 0.0, 0.18))
+        client.set_load(0.5)
 
 
 def moving(client):

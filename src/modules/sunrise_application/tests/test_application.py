@@ -96,7 +96,7 @@ def test_our_client_uses_its_words(serve, wait_until):
     settings = ApplicationSettings(2.0, 60.0, tool_mass=1.12, tool_centre=(-0.022, 0.0, 0.0727))
     with KstClient.connect("127.0.0.1", server.port, timing=PATIENT, application=settings) as arm:
         assert "CALL attach 1.12 kg" in server.log
-        arm.set_load(0.5, (0.0, 0.0, 0.106))
+        arm.set_load(0.5)
         server.say(speed=STILL)
         arm.start_ptp_joints([0.0, 0.2, 0.0, -0.4, 0.0, 0.2, 0.0], 0.5)
         assert arm.state().mode == "MOTION"

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from common.poses import read_only
-from kst import Feedback, KstClient, KstError, MotionInterrupted, ReplyTimeout, UnexpectedReply
+from kst import Feedback, KstClient, KstError, MotionInterrupted, ReplyTimeout, RobotState, UnexpectedReply, WordRefused
 from kuka_control.loop.tracking import BELIEVED_RAD
 
 NO_READING = (ReplyTimeout, UnexpectedReply)  # errors of one missing or unusable answer on a link that may be sound
@@ -74,6 +74,25 @@ class Arm(ABC):
         return None
 
     @property
+    def abilities(self) -> frozenset[str]:
+        """What the application on the robot's controller can besides the toolbox's, such as "stop"."""
+        return frozenset()
+
+    @property
+    def reckoned(self) -> tuple[bool, float]:
+        """Whether the robot's controller knows the tool's mass, and what load it reckons with [kg]."""
+        return False, 0.0
+
+    def stop(self) -> None:
+        """Stops whatever moves, where the abilities name it; any thread may call it. Raises kst.KstError: it could not
+        be said."""
+        raise NotImplementedError
+
+    def carry(self, mass: float) -> None:
+        """Tells the robot's controller what the hand holds [kg], where it can know it; at rest only."""
+        del mass
+
+    @property
     def estimated_in_servo(self) -> tuple[str, ...]:
         """Names of the quantities that are estimated in servo mode, not measured."""
         return ()
@@ -130,12 +149,14 @@ class KstArm(Arm):
 
     A server in a safety stop answers requests for joints only; then `read` requests nothing else until the server has
     accepted the next motion. In servo mode the moment is estimated from the external torques. Servers before May 2019
-    report neither pose nor force there; the first start of servo mode finds that out.
+    report neither pose nor force there; the first start of servo mode finds that out. The robot application answers
+    all of that at once, in every mode.
 
     Args:
         wrench: force and moment at the tool point, shape (3,) each, from joints and external torques, shape (7,) each.
         sent: gets each goal when it was sent, shape (7,) [rad], and the velocity of a PTP motion, else 0.
-        guarded: whether PTP motions are to end at a torque, if the server knows such."""
+        guarded: whether PTP motions are to end at a torque, if the server knows such.
+        weighed: whether the server was told the tool's mass."""
 
     SERVO_TURN = (
         *(Feedback.JOINTS, Feedback.EXTERNAL_TORQUES, Feedback.JOINTS, Feedback.MEASURED_TORQUES, Feedback.JOINTS),
@@ -148,8 +169,11 @@ class KstArm(Arm):
         wrench: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
         sent: Callable[[np.ndarray, float], None] = lambda q, velocity: None,
         guarded: bool = False,
+        weighed: bool = False,
     ) -> None:
         self._client = client
+        self._weighed, self._load, self._asked_load = weighed, 0.0, 0.0
+        self._whole = "state" in client.abilities
         self._sent = sent
         self._wrench = wrench
         self._probed = False
@@ -174,11 +198,37 @@ class KstArm(Arm):
         return self._client.round_trip
 
     @property
+    def abilities(self) -> frozenset[str]:
+        return self._client.abilities
+
+    @property
+    def reckoned(self) -> tuple[bool, float]:
+        return self._weighed, self._load
+
+    def stop(self) -> None:
+        self._client.stop_motion()
+
+    def carry(self, mass: float) -> None:
+        if not self._weighed or mass == self._asked_load:
+            return
+        self._asked_load = mass
+        try:
+            self._client.set_load(mass)
+        except WordRefused as error:
+            self._remarks.append(f"The robot does not take the payload of {mass:g} kg: {error}.")
+        else:
+            self._load = mass
+
+    @property
     def estimated_in_servo(self) -> tuple[str, ...]:
+        if self._whole:
+            return ()
         return ("moment", *(NEWER[feedback][0] for feedback in self._lacking))
 
     def take_remarks(self) -> list[str]:
         remarks, self._remarks = self._remarks, []
+        if self.abilities:
+            remarks += [f"The robot says: {event}." for event in self._client.events()]
         return remarks
 
     def silence(self) -> float:
@@ -187,6 +237,9 @@ class KstArm(Arm):
         return silent
 
     def read(self) -> None:
+        if self._whole:
+            self._take_state(self._client.state())
+            return
         self._take("joints", self._client.joints())
         if self._at_rest:
             field, call = self._next(self._rest_turn)
@@ -218,7 +271,7 @@ class KstArm(Arm):
         self._at_rest = False
         try:
             self._take("joints", _second_try(self._client.joints))
-            if not self._probed:
+            if not (self._probed or self._whole):
                 self._probe()
         except NO_READING as error:
             raise ReplyTimeout(f"{error}; servo mode has started", pending=True) from error
@@ -226,7 +279,7 @@ class KstArm(Arm):
             self.state = replace(self.state, T_base_tool=None)
 
     def servo(self, q: np.ndarray) -> None:
-        feedback = self._next(self.SERVO_TURN)
+        feedback = Feedback.STATE if self._whole else self._next(self.SERVO_TURN)
         if feedback in self._lacking:
             feedback = Feedback.JOINTS
         asked = self._client.stream(q, feedback, wait=False)
@@ -235,7 +288,7 @@ class KstArm(Arm):
             self._turn -= 1
         quick = 1e-3  # a goal is waited for this long; an answer that comes later is read in the next cycle [s]
         self._take_answers(quick)
-        if feedback is not Feedback.JOINTS and not self._client.open_goals:
+        if feedback not in (Feedback.JOINTS, Feedback.STATE) and not self._client.open_goals:
             self._client.stream_joints()
             self._take_answers(quick)
         error, self._unusable = self._unusable, None
@@ -271,6 +324,8 @@ class KstArm(Arm):
         for feedback, value in self._client.answers(wait):
             if isinstance(value, KstError):
                 self._unusable = value
+            elif isinstance(value, RobotState):
+                self._take_state(value)
             elif value is not None:
                 self._take(FIELD[feedback], value)
                 if feedback is Feedback.EXTERNAL_TORQUES:
@@ -278,6 +333,15 @@ class KstArm(Arm):
                     self._take("moment", moment)
                     if Feedback.FORCE in self._lacking:
                         self._take("force", force)
+
+    def _take_state(self, robot: RobotState) -> None:
+        self.state = ArmState(
+            read_only(robot.joints),
+            read_only(robot.torques_external),
+            read_only(robot.torques_measured),
+            force=read_only(robot.force),
+            moment=read_only(robot.moment),
+        )
 
     def _next(self, turn: tuple[_T, ...]) -> _T:
         self._turn = (self._turn + 1) % len(turn)

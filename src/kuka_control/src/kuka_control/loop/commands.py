@@ -32,6 +32,8 @@ class Observation:
     inputs: Inputs = Inputs()  # what comes from outside
     arrived: bool = True  # whether no PTP motion runs
     refused: str | None = None  # why the robot's controller refused the last command
+    stopped: str | None = None  # why the robot has stopped the arm
+    stops: bool = False  # whether the robot can stop a PTP motion
     contact: str | None = None  # what the arm felt that ended the last PTP motion before its goal
     age: float = math.inf  # so much older at most were the joints that were measured before [s]
 
@@ -71,13 +73,18 @@ class StopServo:
 
 
 @dataclass(frozen=True)
+class StopPtp:
+    """Stop the PTP motion that runs."""
+
+
+@dataclass(frozen=True)
 class End:
     """The controller exits; `fault` says why, None if it was asked to."""
 
     fault: str | None = None
 
 
-Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, End]
+Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, StopPtp, End]
 
 COMMANDS: dict[Action, Command] = {
     Action.NONE: Wait(),

@@ -24,7 +24,7 @@ from iiwa_kinematics import Ball
 from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop.admission import StreamAdmission
-from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
+from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, StopPtp, Wait
 from kuka_control.loop.goal_stream import SETTLED_RAD, TOLERANCE_RAD, GoalStream, GoalStreamSettings, ServoStream
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.pending_check import ALLOWED, PathVerdict, PendingCheck
@@ -105,6 +105,7 @@ class Active:
     because: str = ""  # why it began
     reason: str = State.STARTING.text  # the published reason
     enable_count: int = 0  # the count of enablings under which the arm left home or was stopped
+    off_count: int = 0  # the same of control off, at the state's begin
     data: Any = None  # what the state works with: supervision of its motion, identification, or stream of goals
     at_rest: Trigger = Trigger.AT_REST  # while it brakes: the trigger once the goals are at rest
 
@@ -245,8 +246,10 @@ class ControlLoop(ABC, Generic[Settings]):
         refused = observation.refused
         wrong = self._joints.step(observation.joints, cycle.now, observation.age)
         contact = observation.contact
-        if contact is not None and (self._active.state, Trigger.CONTACT) in self._table:
-            outcome: Outcome = Fired(Trigger.CONTACT, contact)
+        if observation.stopped is not None and (self._active.state, Trigger.STOPPED) in self._table:
+            outcome: Outcome = Fired(Trigger.STOPPED, observation.stopped)
+        elif contact is not None and (self._active.state, Trigger.CONTACT) in self._table:
+            outcome = Fired(Trigger.CONTACT, contact)
         elif refused is None and wrong is not None and (self._active.state, Trigger.DISBELIEVED) in self._table:
             self._doubt = self._joints.where
             outcome = Fired(Trigger.DISBELIEVED, wrong)
@@ -317,7 +320,10 @@ class ControlLoop(ABC, Generic[Settings]):
             self._unreachable = None
             self._report("error" if latches else "info", reason)
         enable_count = cycle.switches.enable_count if latches else before.enable_count
-        self._active = Active(row.target, cause, because, reason or before.reason, enable_count, data, row.at_rest)
+        off_count = cycle.switches.off_count
+        self._active = Active(
+            row.target, cause, because, reason or before.reason, enable_count, off_count, data, row.at_rest
+        )
         return command
 
     def _motion(self, target: State) -> tuple[str, np.ndarray, float]:
@@ -368,7 +374,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return Wait() if unknown and cycle.now - self._started < HAND_S else Fired(Trigger.START)
 
     def _moving(self, cycle: Cycle) -> Outcome:
-        """A PTP motion runs, which nothing can stop."""
+        """A PTP motion runs. Control off stops it where the robot can do that."""
         supervision: PtpSupervision = self._active.data
         if cycle.observation.arrived:
             leaves = self._active.state is State.ZERO
@@ -380,6 +386,10 @@ class ControlLoop(ABC, Generic[Settings]):
                 return Wait() if wrong is None else Fired(Trigger.DISBELIEVED, wrong)
             self._joints.stand(supervision.q)
             return self._arrived(cycle)
+        if cycle.observation.stops and cycle.switches.off_count != self._active.off_count:
+            reason = f"Control is off: the robot stops the motion to {supervision.name}."
+            self._active = replace(self._active, off_count=cycle.switches.off_count, reason=reason)
+            return StopPtp()
         event = supervision.step(cycle.observation.joints, cycle.now)
         if supervision.held and supervision.still > EXIT_PATIENCE_S and self._exits(cycle):
             return Fired(Trigger.EXIT_WHILE_HELD)

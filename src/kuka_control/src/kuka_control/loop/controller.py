@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from common.modes import Mode
-from kst import ConnectionLost, KstError, MotionInterrupted, MotionRefused, ReplyTimeout, WrongMode
+from kst import ConnectionLost, KstError, MotionInterrupted, MotionRefused, MotionStopped, ReplyTimeout, WrongMode
 from kuka_control.loop.arm import NO_READING, WAIT_S, Arm
 from kuka_control.loop.commands import (
     End,
@@ -23,6 +23,7 @@ from kuka_control.loop.commands import (
     StartPtp,
     StartServo,
     Step,
+    StopPtp,
     StopServo,
     Wait,
 )
@@ -38,7 +39,15 @@ BACK = (
     "and follows the desired tool frame."
 )
 WAITING = "Control is off, nothing is sent, and the same connection is probed for up to 10 s."
+_SILENT = "this controller was silent for longer than watchdog_brake"
+WHY = {"the client": "it was asked to", "the watchdog": _SILENT, "the client was silent": _SILENT}
+"""What the robot names as the reason of a stop, in other words where its own say too little."""
 WARN_EVERY_S = 1.0  # shortest time between two warnings about missed answers [s]
+
+
+def _why(error: MotionStopped) -> str:
+    reason = error.reason.rpartition(": ")[2]
+    return WHY.get(reason, reason)
 
 
 class ReconnectSupervisor:
@@ -157,6 +166,7 @@ class Controller:
         self._arm = arm
         self._loop = loop
         self._refused: str | None = None
+        self._stopped: str | None = None
         self._contact: str | None = None
         self._torques: np.ndarray | None = None  # the ranges within which the last PTP motion continues
         self._missed_in_a_row = 0
@@ -183,16 +193,25 @@ class Controller:
         events += self._watch_motion(now)
         refused, self._refused = self._refused, None
         contact, self._contact = self._contact, None
+        stopped, self._stopped = self._stopped, None
         joints, age = self._arm.measured_joints, math.inf
         if joints is not self._joints:  # a goal that left, or an answer without joints, is no reading
             self._joints, self._missed_in_a_row = joints, 0
             # They were measured after their question was sent, and before their answer was read.
             delay = self._arm.round_trip or 0.0
             age, self._read_from = now + min(delay, WAIT_S) - self._read_from, before - delay
-        observation = Observation(joints, inputs, not self.moving, refused, contact, age)
+        stops = "stop" in self._arm.abilities
+        observation = Observation(joints, inputs, not self.moving, refused, stopped, stops, contact, age)
         step = self._loop.step(observation, now)
         try:
+            if not (self.moving or self.in_servo):
+                self._arm.carry(inputs.switches.payload)
             self._do(step)
+        except MotionStopped as error:
+            self._stopped = _why(error)
+            if self.in_servo:
+                self._arm.stop_servo()
+            self.moving = self.in_servo = False
         except MotionRefused as error:
             self.moving = self.in_servo = False
             self._refused = str(error)
@@ -262,6 +281,9 @@ class Controller:
             except MotionRefused as error:
                 self.moving = False
                 self._refused = str(error)
+            except MotionStopped as error:
+                self.moving = False
+                self._stopped = _why(error)
             except MotionInterrupted as error:
                 self.moving = False
                 self._contact = touched(error.torques, self._torques)
@@ -284,5 +306,7 @@ class Controller:
         elif isinstance(command, StopServo):
             self._arm.stop_servo()
             self.in_servo = False
+        elif isinstance(command, StopPtp):
+            self._arm.stop()
         elif not isinstance(command, End):
             self._arm.read()

@@ -88,6 +88,7 @@ class Trigger(Enum):
     LAG = "the arm does not follow"
     DISBELIEVED = "the measured joints cannot be true"
     REFUSED = "refused by the robot"
+    STOPPED = "the robot has stopped the arm"
     CONTACT = "a joint torque has ended the motion"
     BLOCKED = "a body is in the way of the motion"
     EXIT_BLOCKED = "exit_app, and the arm stays: a body is in the way, it touched one, or its joints are not believed"
@@ -156,6 +157,7 @@ _SILENCE = "No new desired tool frame came for {detail} s."
 _PROGRAM = "A program moves the arm."
 _DISBELIEVED = "The measured joints are not believed: {detail}."
 _CONTACT = "The arm touched something on its way to {name}: {detail}."
+_STOPPED_MOTION = "The robot stopped the motion to {name}: {detail}."
 _REFUSED = "The robot's controller refused the motion to {name}: {detail}."
 
 TRANSITIONS = (
@@ -212,6 +214,8 @@ TRANSITIONS = (
     Transition((*_TO_REST, *_RESTS), _T.DISBELIEVED, _S.STOPPED, _A.NONE, _DISBELIEVED),
     Transition(_TO_REST, _T.ARRIVED_AFTER_HOLD, _S.STOPPED, _A.NONE, "Something held the arm on its way to {name}."),
     Transition(_TO_REST, _T.REFUSED, _S.STOPPED, _A.NONE, _REFUSED),
+    Transition(_TO_REST, _T.STOPPED, _S.STOPPED, _A.NONE, _STOPPED_MOTION),
+    Transition((_S.IDENTIFYING, *_STREAMS), _T.STOPPED, _S.STOPPED, _A.NONE, "The robot stopped the arm: {detail}."),
     Transition(_TO_REST, _T.CONTACT, _S.STOPPED, _A.NONE, _CONTACT),
     Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
     Transition((_S.STARTING, _S.STOPPED, *_BLOCKED), _T.BLOCKED, _S.STOPPED, _A.NONE, "{detail}"),
@@ -221,6 +225,7 @@ TRANSITIONS = (
     Transition((_S.BRAKING,), _T.AT_REST_TO_STOP, _S.STOPPED, _A.STOP_SERVO, "{because}"),
     Transition((_S.STOPPED,), _T.ENABLED_AGAIN, _S.HOMING, _A.PTP, "Control was switched off and on again."),
     Transition((_S.ZERO,), _T.REFUSED, _S.ENDED, _A.END, _REFUSED),
+    Transition((_S.ZERO,), _T.STOPPED, _S.ENDED, _A.END, _STOPPED_MOTION),
     Transition((_S.ZERO,), _T.CONTACT, _S.ENDED, _A.END, _CONTACT),
     Transition((*_TO_REST, _S.ZERO), _T.EXIT_WHILE_HELD, _S.ENDED, _A.END, _HELD),
 )

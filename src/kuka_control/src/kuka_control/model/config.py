@@ -102,6 +102,22 @@ class ControllerConfig(RobotAddress):
         doc="a PTP motion ends where an external joint torque leaves the range from zero to that of hand and load "
         "by this; 0: never",
     )
+    robot_server: str = choice(
+        "toolbox",
+        "leap_rig",
+        absent="toolbox",
+        doc="application on the robot's controller: the toolbox's, or LeapRigServer of src/modules/sunrise_application",
+    )
+    watchdog_brake: float = number(
+        "s",
+        low=0.05,
+        high=2.0,
+        absent=0.2,
+        doc="with leap_rig: the robot brakes, or stops its motion, when this controller is silent for longer",
+    )
+    watchdog_end: float = number(
+        "s", above=0.05, high=60.0, absent=10.0, doc="with leap_rig: servo mode ends then; above watchdog_brake"
+    )
     marker_ring: bool = flag("whether the marker board's ring is between flange and hand", absent=False)
     rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joint_states are published")
     rate_state: float = number("Hz", low=1.0, high=100.0, doc="how often torques, force, pose and flags are published")
@@ -114,8 +130,11 @@ class ControllerConfig(RobotAddress):
     def faults_among(read: Mapping[str, Any]) -> list[str]:
         """Returns the faults of parameters together, one sentence each; `read` has those that are valid alone."""
         angle = read.get("opening_angle")
+        brake, end = read.get("watchdog_brake"), read.get("watchdog_end")
+        silent = brake is not None and end is not None and not end > brake
+        watchdog = [f"watchdog_end is {end:g} s, but must be above watchdog_brake, {brake:g} s."] if silent else []
         mounted = "robot" in read and "flange" in read
-        return workspace_faults(
+        return watchdog + workspace_faults(
             read.get("center_line"),
             None if angle is None else float(np.radians(angle)),
             read.get("z_lower_limit"),

@@ -40,6 +40,7 @@ class SwitchState:
     exit_requested: bool = False
     exit_in_place: ExitInPlace | None = None  # why the exit was said to leave the arm where it is
     payload: float = 0.0  # of what the hand holds [kg]
+    off_count: int = 0  # how often control was asked to be off
 
 
 class SwitchReply(NamedTuple):
@@ -59,6 +60,7 @@ class Switches:
         self._when_enabled: str | None = None
         self._exit_in_place: ExitInPlace | None = None
         self._held_by: str | None = None
+        self._stops = False
 
     @property
     def now(self) -> SwitchState:
@@ -71,9 +73,12 @@ class Switches:
         stopped_because: str | None,
         when_enabled: str | None = None,
         exit_in_place: ExitInPlace | None = None,
+        stops: bool = False,
     ) -> None:
         """Takes the state of the controller, which the replies quote; `when_enabled`: what happens to the present
-        desired tool frame once control is switched on; `exit_in_place`: why an exit leaves the arm where it is."""
+        desired tool frame once control is switched on; `exit_in_place`: why an exit leaves the arm where it is;
+        `stops`: a PTP motion runs, which control off stops."""
+        self._stops = stops
         self._mode = mode
         self._stopped_because = stopped_because
         self._when_enabled = when_enabled
@@ -99,9 +104,12 @@ class Switches:
         stopped = self._stopped_because
         before = self.now.control_on
         enable_count = self.now.enable_count + (on and not before)
-        self._now = replace(self.now, control_on=on, enable_count=enable_count)
+        off_count = self.now.off_count + (not on)
+        self._now = replace(self.now, control_on=on, enable_count=enable_count, off_count=off_count)
         if on and before and stopped:
             return SwitchReply(False, f"The arm is stopped until control is switched off and on again: {stopped}")
+        if not on and self._stops:
+            return SwitchReply(True, "Control is off, the robot stops the arm, which stays until control is on again.")
         if on == before:
             return SwitchReply(True, f"Control is {'on' if on else 'off'} already.")
         if not on:

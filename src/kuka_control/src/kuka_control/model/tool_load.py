@@ -4,7 +4,7 @@ the arm."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,10 @@ class ToolLoad:
     mass: float  # of the tool [kg]
     center_of_mass: np.ndarray  # in the flange frame, shape (3,) [m]
     up: np.ndarray  # the world's vertical in the base frame, a unit vector, shape (3,)
+
+    def unknown(self, known: bool) -> ToolLoad:
+        """Returns what of the tool the robot's controller does not know of; `known`: it was told the tool's mass."""
+        return replace(self, mass=0.0) if known else self
 
     def torques(self, q: np.ndarray, payload: float = 0.0) -> np.ndarray:
         """Returns the torques that the weight makes at the joints q, shape (7,) each [rad], [Nm]. They have the sign

@@ -27,7 +27,7 @@ from common.ros.service_calls import ask_master
 from common.ros.simulated_devices import SimulatedDevices
 from common.rotations import quaternion_from_rotation
 from common.simulated import WITHOUT_HARDWARE
-from kst import KstClient, KstError, NoServer, ReplyTimeout
+from kst import ApplicationSettings, KstClient, KstError, NoServer, ReplyTimeout
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
@@ -42,6 +42,7 @@ from kuka_control.model.tool_load import wrench_at_tool
 from kuka_control.numbers import AGAIN_TIMEOUT_S, BRAKING_S, PROBE_S, TIMEOUT_S
 from kuka_control.ros.arm_placement import placed_beside_others
 from kuka_control.ros.desired_tool import DesiredTool
+from kuka_control.ros.emergency import TOLD_TO_STOP
 from kuka_control.ros.guard_view import GuardView, HandOpening
 from kuka_control.ros.moves import MoveServer
 from kuka_control.ros.panel_process import control_panel
@@ -84,6 +85,17 @@ class RobotLink:
         """Leaves servo mode and closes the connection; never raises."""
         self.arm.close()
 
+    def stop(self) -> str | None:
+        """Stops the arm where the robot can do that; returns what to say of it, a part of a sentence. From any
+        thread, also while the control loop hangs."""
+        if "stop" not in self.arm.abilities:
+            return None
+        try:
+            self.arm.stop()
+        except KstError as error:
+            return f"the robot could not be told to stop ({error}), but stops as its client is gone"
+        return TOLD_TO_STOP
+
     def again(self) -> None:
         """Tries once to connect, or raises KstError; `arm` is another one then."""
         before, self.arm = self.arm, self._connected(AGAIN_TIMEOUT_S)
@@ -112,10 +124,17 @@ class RobotLink:
 
     def _connected(self, timeout: float) -> KstArm:
         config, rig = self._config, self._rig
-        client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool, timeout=timeout)
+        application, weighed = None, False
+        if config.robot_server == "leap_rig":
+            mass, centre = config.tool_mass, config.tool_center_of_mass
+            application = ApplicationSettings(config.watchdog_brake, config.watchdog_end, mass, centre)
+            weighed = mass > 0.0
+        client = KstClient.connect(
+            config.ip, config.port, tool=rig.T_flange_tool, timeout=timeout, application=application
+        )
         try:
             guarded = config.ptp_contact_torque > 0.0
-            return KstArm(client, partial(wrench_at_tool, rig.kinematics), self.goals.sent, guarded)
+            return KstArm(client, partial(wrench_at_tool, rig.kinematics), self.goals.sent, guarded, weighed)
         except KstError:
             client.close()
             raise
@@ -222,7 +241,7 @@ class _Node:
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
         planner = assembly.move_planner(config, rig, named_configurations(named, rig.model))
         self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames)
-        self._services = Services(self._switches)
+        self._services = Services(self._switches, lambda: self._link.stop())
         master.watch.lost.append(lambda _: self._services.disengage())
         offer_tool_check(rig, self._for_tool_check, self._guard_view.collision, frames)
 
@@ -342,10 +361,14 @@ class _Node:
     def _show(self, step: Step) -> None:
         self._step = step
         self._moves.show(step, self._link.arm.measured_joints)
-        self._switches.report(step.mode, self._loop.stopped_because, self._loop.when_enabled, self._loop.exit_in_place)
         arm, controller = self._link.arm, self._controller
+        loop, stops = self._loop, controller.moving and "stop" in arm.abilities
+        self._switches.report(step.mode, loop.stopped_because, loop.when_enabled, loop.exit_in_place, stops)
         self._state.show(
-            Snapshot(arm.state, step, self._switches.now, controller.moving, controller.in_servo, arm.round_trip)
+            Snapshot(
+                *(arm.state, step, self._switches.now, controller.moving, controller.in_servo),
+                *(arm.round_trip, arm.reckoned),
+            )
         )
 
     @staticmethod
@@ -359,6 +382,7 @@ class _Node:
         controller = self._controller
         answers = {"missed_answers": controller.missed, "holds": controller.holds}
         counts = {**self._loop.counts, **answers, "estimated_in_servo": estimated}
+        counts["robot_abilities"] = " ".join(sorted(self._link.arm.abilities))
         counts["workspace"] = "lifted" if self._lifted else "kept"
         counts["clock_offset"] = f"{self._desired.offset:.3f}"
         if step is None:

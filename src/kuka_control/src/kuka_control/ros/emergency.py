@@ -72,6 +72,7 @@ def _is_controller(pid: int) -> bool:
 
 LEFT_BEHIND = "the robot holds its last goal, a motion to a point runs to its end"
 """What becomes of the arm: the toolbox server has no watchdog, and no command that stops such a motion."""
+TOLD_TO_STOP = "the robot was told to stop"
 
 
 def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str) -> tuple[bool, str]:
@@ -85,7 +86,9 @@ def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str)
     except ServiceFailed as error:
         failure = error
     if process is not None:
-        return _end(process, deadline if failure is None else 0.0)
+        return _end(
+            process, deadline if failure is None else 0.0, TOLD_TO_STOP if TOLD_TO_STOP in answer else LEFT_BEHIND
+        )
     if failure is None:
         return True, f"Emergency Stop: {answer}"
     if not host and isinstance(failure, ServiceAbsent):
@@ -94,9 +97,9 @@ def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str)
     return False, f"Emergency Stop: the controller{where} did not confirm it. {SMARTPAD}"
 
 
-def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
+def _end(process: ControllerProcess, deadline: float, left_behind: str) -> tuple[bool, str]:
     if _ended(process, deadline):
-        return True, f"Emergency Stop: the controller has exited; {LEFT_BEHIND}."
+        return True, f"Emergency Stop: the controller has exited; {left_behind}."
     try:
         kill(process)
     except PermissionError:

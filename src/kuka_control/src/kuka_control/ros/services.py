@@ -27,7 +27,9 @@ EXITS = "Nothing was changed: the controller exits at once."  # what waited whil
 class Services:
     """Offers the services under kuka/ and turns requests into positions of the switches."""
 
-    def __init__(self, switches: Switches) -> None:
+    def __init__(self, switches: Switches, stop: Callable[[], str | None] = lambda: None) -> None:
+        """`stop` stops the arm where the robot can do that, and returns what to say of it, a part of a sentence."""
+        self._stop = stop
         self._lock = clock.Lock()
         self._switches, self._exits = switches, False
         rospy.Service("kuka/exit_app_emergency", exitAppEmergency, self._end_at_once)
@@ -60,10 +62,11 @@ class Services:
         """Needs neither the control loop nor the robot, so it also works when those hang."""
         emergency_exit_code = 2
         self._exits = True
+        left_behind = self._stop() or "the robot holds its last goal or completes its PTP motion"
         timer = clock.Timer(ANSWER_S, os._exit, [emergency_exit_code])
         timer.daemon = True
         timer.start()
-        return True, "The controller exits at once; the robot holds its last goal or completes its PTP motion."
+        return True, f"The controller exits at once; {left_behind}."
 
 
 def offer_tool_check(

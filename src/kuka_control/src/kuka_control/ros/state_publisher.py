@@ -52,6 +52,7 @@ class Snapshot:
     moving_ptp: bool
     moving_rt: bool
     round_trip: float | None
+    reckoned: tuple[bool, float] = (False, 0.0)  # as Arm.reckoned
 
 
 class GoalPublisher:
@@ -201,6 +202,8 @@ class StatePublisher:
         weight of the tool and of what the hand holds, which that controller takes for a force from outside. With
         `flange_force_raw` force and moment keep it."""
         arm, rig = snapshot.arm, self._rig
+        known, carried = snapshot.reckoned
+        load, payload = rig.load.unknown(known), snapshot.switched.payload - carried
         for publisher, kind, new, old in (
             (self._torques_external, jointTorquesExternal, arm.torques_external, before.torques_external),
             (self._torques_contact, jointTorquesExternal, arm.torques_external, before.torques_external),
@@ -208,7 +211,7 @@ class StatePublisher:
         ):
             if new is not None and new is not old and publisher.get_num_connections():
                 if publisher is self._torques_contact:
-                    new = new - rig.load.torques(arm.joints, snapshot.switched.payload)
+                    new = new - load.torques(arm.joints, payload)
                 publisher.publish(kind(Header(0, now, self._base), *new.tolist()))
         for i, publisher, new, old in (
             (0, self._force, arm.force, before.force),
@@ -216,7 +219,7 @@ class StatePublisher:
         ):
             if new is not None and new is not old and publisher.get_num_connections():
                 if not self._raw_force:
-                    new = new - rig.load.wrench(arm.joints, snapshot.switched.payload)[i]
+                    new = new - load.wrench(arm.joints, payload)[i]
                 vector = rig.T_flange_tool[:3, :3] @ new  # the toolbox reports both in the tool's axes
                 publisher.publish(Vector3Stamped(Header(0, now, self._flange), Vector3(*vector.tolist())))
 

@@ -41,6 +41,7 @@ from kst.stranger import stranger
 from kst.transport import KstTransport
 
 LATE_END_S = 2.0  # the final word of a motion comes sooner after the arrival than this, or not at all [s]
+EVENT_S = 0.02  # the reason of a stop comes so long after the stop itself at most [s]
 BEAT_S = 0.05  # time between two beats while the client waits [s]
 OVERDUE_S = 0.002  # an answer is overdue once it takes this much longer than twice the usual time [s]
 _FEEDBACK = {**{feedback.value[0]: feedback for feedback in Feedback}, codec.JOINTS.word: Feedback.JOINTS}
@@ -74,6 +75,7 @@ class KstClient:
         self._application: ApplicationSettings | None = None
         self._channel: StopChannel | None = None
         self._heard: list[str] = []  # from the robot application, unasked
+        self._left_because = ""  # the last of that about the end of servo mode
         self._load = (0.0, np.zeros(3))  # that was told to it: mass [kg], centre [m]
         self.abilities: frozenset[str] = frozenset()  # of the robot application; of the toolbox none
         self.monotonic = session.monotonic  # the time of the link [s]
@@ -225,13 +227,14 @@ class KstClient:
         reply = self._ask(application.STATE, timeout)
         return application.state_of(reply, self._numbers(application.STATE, reply))
 
-    def set_load(self, mass: float, centre: ArrayLike) -> None:
-        """Tells the robot application what the hand holds: mass [kg], centre in the flange frame, shape (3,) [m]; at
-        rest only. Raises WordRefused: also if the robot reckons with something else."""
+    def set_load(self, mass: float) -> None:
+        """Tells the robot application what the hand holds, at the tool point [kg]; at rest only. Raises WordRefused:
+        also if the robot reckons with something else."""
         self._require_application("take a load")
         self._require_idle("a change of the load")
-        command = application.weigh_load(mass, np.asarray(centre, dtype=float).tolist())
-        self._load = float(mass), np.asarray(centre, dtype=float)
+        centre = self._tool.T_flange_tool[:3, 3]
+        command = application.weigh_load(mass, centre.tolist())
+        self._load = float(mass), centre
         self._check_mass(command, self._accept(command))
 
     def events(self) -> list[str]:
@@ -241,8 +244,10 @@ class KstClient:
         return heard
 
     def _hear(self) -> None:
-        if self._channel is not None:
-            self._heard += self._channel.events()
+        for event in [] if self._channel is None else self._channel.events():
+            self._heard.append(event)
+            if "brakes" in event or "ends" in event:
+                self._left_because = event
 
     def _require_application(self, what: str) -> None:
         if self._application is None:
@@ -456,6 +461,8 @@ class KstClient:
         self._require_idle("the joint servo")
         self._ask(codec.joint_goal(self._limits.check(self.joints())))
         self._session.arrived.clear()
+        self._hear()
+        self._left_because = ""
         try:
             self._accept(codec.START_SERVO)
         except (ReplyTimeout, UnexpectedReply) as error:
@@ -602,8 +609,10 @@ class KstClient:
 
     def _left_servo(self, mode: str) -> MotionStopped:
         self._hear()
-        said = [event for event in self._heard if "brakes" in event or "ends" in event]
-        reason = said[-1] if said else "it holds the arm" if mode == "HELD" else "servo mode has ended"
+        if not self._left_because:  # which comes by the other connection
+            self._session.transport.pause(EVENT_S)
+            self._hear()
+        reason = self._left_because or ("it holds the arm" if mode == "HELD" else "servo mode has ended")
         return self._stopped("the robot follows no goals:", reason)
 
     def _no(self, command: KstCommand, reply: KstReply) -> KstError:
@@ -653,7 +662,9 @@ class KstClient:
     def _attach_tool(self, patience: float | None = None) -> None:
         settings = self._application
         weighs = settings is not None and settings.tool_mass > 0.0
-        command = application.weigh_tool(settings, self._tool) if weighs else codec.attach_tool(self._tool)
+        command = codec.attach_tool(self._tool)
+        if settings is not None and weighs:
+            command = application.weigh_tool(settings, self._tool)
         try:
             reply = self._session.ask_main(command, patience)
         except ReplyTimeout as error:

@@ -1,0 +1,176 @@
+"""A controller on the simulated robot with the robot application; all in virtual time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from link_world import bench
+from loop_world import rig
+
+from common import clock
+from common.errors import ConfigError
+from kst import ApplicationSettings
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.switches import Switches
+
+KNOWN = ApplicationSettings(tool_mass=1.12, tool_centre=(-0.022, 0.0, 0.0727))
+OF_TOOLBOX = {"jp", "jpJP", "jpExT", "jpMT", "jpEEfP", "jpEEfFrelEEF", "getJointsPositions", "Torques_ext_J"}
+
+
+def events(one, seconds):
+    """Runs so long; returns the last step, and what was logged."""
+    said, end = [], clock.monotonic() + seconds
+    while clock.monotonic() < end:
+        step = one.cycle()
+        said += [event.sentence for event in step.events]
+        one.mode = step.mode
+        clock.sleep(0.004)
+    return step, said
+
+
+def homing(one):
+    """The arm is on its way home, and moves."""
+    one.run(clock.monotonic() + 5.0, "homing")
+    events(one, 0.8)
+    assert one.controller.moving
+    return one
+
+
+def following(one):
+    one.run(clock.monotonic() + 30.0, "servo")
+    events(one, 1.0)
+    assert one.controller.in_servo
+    return one
+
+
+def at_rest(one):
+    before = one.robot.q.copy()
+    clock.sleep(0.5)
+    return np.max(np.abs(one.robot.q - before)) < 1e-6
+
+
+def test_it_follows_with_the_whole_state_in_each_answer():
+    with bench(application=KNOWN) as one:
+        following(one)
+        before = len(one.sent)
+        step, _ = events(one, 1.0)
+        assert step.mode == "servo" and set(one.sent[before:]) == {"jpState"}
+        state = one.arm.state
+        assert one.arm.estimated_in_servo == () and state.moment is not None and state.force is not None
+        assert one.arm.reckoned == (True, 0.0)
+
+
+def test_the_toolbox_hears_no_other_word_than_before():
+    with bench() as one:
+        following(one)
+        assert not [word for word in one.sent if word.startswith("lr") or word == "jpState"]
+        assert one.arm.abilities == frozenset()
+
+
+def test_control_off_stops_a_motion_and_nothing_moves_until_it_is_asked_for():
+    with bench(application=KNOWN) as one:
+        homing(one).switch(False)
+        step, said = events(one, 1.0)
+        assert step.mode == "stopped" and "stopped the motion to home: it was asked to." in step.reason
+        assert "The robot says: the motion was stopped by the client." in said
+        assert at_rest(one)
+        events(one, 2.0)
+        assert at_rest(one)
+        one.switch(True)
+        one.run(clock.monotonic() + 20.0, "home")
+
+
+def test_control_off_stops_no_motion_of_the_toolbox():
+    with bench() as one:
+        homing(one).switch(False)
+        step, _ = events(one, 1.0)
+        assert step.mode == "homing" and one.controller.moving
+
+
+def test_a_motion_home_because_control_is_off_goes_on():
+    with bench(application=KNOWN) as one:
+        following(one).switch(False)
+        one.run(clock.monotonic() + 20.0, "home")
+
+
+def test_while_the_control_loop_hangs_the_robot_stops_the_motion():
+    with bench(application=KNOWN) as one:
+        homing(one)
+        clock.sleep(1.0)
+        assert at_rest(one)
+        step, _ = events(one, 0.2)
+        assert step.mode == "stopped" and "silent for longer than watchdog_brake" in step.reason
+
+
+def test_a_slow_control_loop_is_alive():
+    with bench(application=KNOWN) as one:
+        homing(one)
+        for _ in range(10):
+            clock.sleep(0.15)
+            assert one.cycle().mode == "homing"
+
+
+def test_while_the_control_loop_hangs_the_robot_brakes_and_holds():
+    with bench(application=KNOWN) as one:
+        following(one)
+        clock.sleep(1.0)
+        assert at_rest(one)
+        step, _ = events(one, 0.5)
+        assert step.mode == "stopped" and "silent for longer than watchdog_brake" in step.reason
+        assert not one.controller.in_servo
+        one.switch(False)
+        events(one, 0.1)
+        one.switch(True)
+        one.run(clock.monotonic() + 20.0, "servo")
+
+
+def test_a_stop_from_another_thread_ends_following():
+    with bench(application=KNOWN) as one:
+        following(one)
+        one.arm.stop()
+        step, _ = events(one, 0.5)
+        assert step.mode == "stopped" and "The robot stopped the arm: it was asked to." in step.reason
+        assert at_rest(one)
+
+
+def test_the_payload_goes_to_the_robot_at_rest():
+    with bench(application=KNOWN) as one:
+        homing(one).payload = 0.5
+        events(one, 0.1)
+        assert "lrLoad" not in one.sent and one.arm.reckoned == (True, 0.0)
+        one.run(clock.monotonic() + 20.0, "home")
+        assert one.arm.reckoned == (True, 0.5) and one.sent.count("lrLoad") == 1
+
+
+def test_a_payload_that_the_robot_refuses_is_said_once():
+    with bench(application=KNOWN) as one:
+        one.payload = 20.0
+        _, said = events(one, 1.0)
+        assert sum("does not take the payload of 20 kg" in sentence for sentence in said) == 1
+        assert one.arm.reckoned == (True, 0.0)
+
+
+def test_without_a_mass_no_load_is_told():
+    with bench(application=ApplicationSettings()) as one:
+        one.payload = 0.5
+        events(one, 0.5)
+        assert "lrLoad" not in one.sent and one.arm.reckoned == (False, 0.0)
+
+
+def test_switches_say_what_control_off_does():
+    switches = Switches()
+    switches.report("homing", None, stops=True)
+    assert "the robot stops the arm" in switches.set_control(False).message
+    assert switches.now.off_count == 1
+    switches.report("home", None)
+    assert switches.set_control(False).message == "Control is off already."
+
+
+def test_the_watchdogs_times_fit():
+    with pytest.raises(ConfigError, match="watchdog_end is 0.2 s, but must be above watchdog_brake, 0.3 s"):
+        rig(RealTimeConfig, watchdog_brake=0.3, watchdog_end=0.2)
+
+
+def test_what_the_robot_knows_is_taken_off_no_second_time():
+    load = rig(RealTimeConfig)[1].load
+    assert not load.unknown(True).torques(np.full(7, 0.5)).any() and load.unknown(False) is load
