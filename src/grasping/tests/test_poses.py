@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,15 @@ import torch
 from common.camera_model import CameraModel, pinhole
 from common.errors import RigError
 from common.rotations import rotation_about
-from grasping.lab.evaluation import antipodal
+from grasping.lab.evaluation import antipodal, lift_file
 from grasping.lab.evaluation.antipodal import antipodal_grasp
 from grasping.lab.programs import evaluate_poses, make_attempts, train_lifts
 from grasping.lab.programs.train_lifts import LiftData, calibrate, train
+from grasping.lab.synthetic import scene
+from grasping.lab.synthetic.full_poses import PoseSampler
 from grasping.lab.synthetic.pose_labels import REASONS
-from grasping.lab.synthetic.samples import GRIPPER
+from grasping.lab.synthetic.samples import GRIPPER, GRIPPERS
+from grasping.lab.synthetic.shapes import Geom
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import PARALLEL, REFLEX, Maps
 from grasping.poses import hand_view, hypotheses
@@ -30,6 +34,7 @@ SIDE, TABLE_M, FOCAL = 300, 0.7, 570.0
 OPEN_M = 0.1
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2_wide.pt"
 DOWN = np.array([0.0, 0.0, 1.0])
+LYING = np.array([0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0])
 
 
 def camera() -> CameraModel:
@@ -298,6 +303,87 @@ def test_attempts_come_back_with_their_images(shard):
     assert data.features.shape == (8, hand_view.FEATURES)
     np.testing.assert_array_equal(data.lifted, lifted)
     assert (data.hand, data.ggcnn) == (PARALLEL, hashlib.sha256(WEIGHTS.read_bytes()).hexdigest())
+
+
+REFLEX_WEIGHTS = WEIGHTS.with_name("ggcnn2_reflex.pt")
+
+
+@pytest.fixture(scope="module")
+def to_be_lifted(tmp_path_factory):
+    """The task of a shard of the rig's hand, and its scene as the other program gets it."""
+    folder = tmp_path_factory.mktemp("reflex")
+    shard, results = folder / "train_8_000000.npz", folder / "results.json"
+    task = make_attempts.AttemptTask(shard, "train", range(1, 2), REFLEX_WEIGHTS, 8, None, REFLEX, results)
+    return task, make_attempts.exported((task, 1))
+
+
+def rows_of(scene: dict, reasons: list[str]) -> list[dict]:
+    grasps = zip(scene["grasps"], reasons)
+    return [{**scene, "method": g["method"], "width": g["width"], "reason": reason} for g, reason in grasps]
+
+
+def test_attempts_of_the_rigs_hand_go_to_its_world_and_come_back_as_a_shard(to_be_lifted):
+    task, scene = to_be_lifted
+    grasps = scene["grasps"]
+    assert len(grasps) == 8 and all(grasp["own_approach"] and grasp["width"] <= 0.116 for grasp in grasps)
+    tilt = np.degrees(np.arccos([-np.array(grasp["T_world_grasp"])[2, 2] for grasp in grasps]))
+    assert tilt.max() < 50.0 and np.ptp(tilt) > 10.0
+    reasons = [REASONS[i % 3] for i in range(8)]
+    task.results.write_text(json.dumps(rows_of(scene, reasons)))
+    make_attempts.results.cache_clear()
+    make_attempts.make_shard(task)
+    with np.load(task.path) as arrays:
+        assert arrays["reason"].tolist() == [0, 1, 2, 0, 1, 2, 0, 1] and arrays["T"].shape == (8, 4, 4)
+    data = train_lifts.read([task.path])
+    assert (data.hand, data.ggcnn) == (REFLEX, hashlib.sha256(REFLEX_WEIGHTS.read_bytes()).hexdigest())
+
+
+@pytest.mark.parametrize(("dropped", "added"), [(1, 0.0), (0, 1e-9)])
+def test_results_of_other_attempts_are_refused(to_be_lifted, tmp_path, dropped, added):
+    task, scene = to_be_lifted
+    task = task._replace(path=tmp_path / "shard.npz", results=tmp_path / "results.json")
+    rows = rows_of(scene, [REASONS[0]] * (8 - dropped))
+    rows[0]["width"] += added
+    task.results.write_text(json.dumps(rows))
+    with pytest.raises(RigError, match="is not of these attempts in scene 1 of train"):
+        make_attempts.make_shard(task)
+    assert not task.path.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (None, "cannot be read: No such file"),
+        ("[", "holds no results"),
+        ("[3]", "holds no results"),
+        ('[{"split": "train", "scene": 1, "method": "a", "reason": "luck"}]', "unknown reason 'luck'"),
+    ],
+)
+def test_a_file_without_results_is_refused(tmp_path, text, sentence):
+    file = tmp_path / "results.json"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(RigError, match=sentence):
+        lift_file.read_results(file)
+
+
+@pytest.mark.parametrize("options", ["--export F", f"--hand {REFLEX}", f"--hand {REFLEX} --export F --results F"])
+def test_only_the_rigs_hand_is_lifted_elsewhere_and_always(tmp_path, capsys, monkeypatch, options):
+    monkeypatch.setattr("sys.argv", ["make_attempts.py", str(tmp_path), str(WEIGHTS), *options.split()])
+    with pytest.raises(SystemExit):
+        make_attempts.main()
+    assert "either --export or --results is needed" in capsys.readouterr().err
+
+
+def test_the_rigs_hand_is_sampled_half_closed():
+    """A free line through a bar needs room for its fingers where they come down, not where the parallel ones do."""
+    beside = Geom("box", (0.06, 0.008, 0.03), (0.0, 0.015 + 0.035, 0.03))
+    bar = ((Geom("box", (0.06, 0.015, 0.02)),),)
+    found = {}
+    for hand, gripper in GRIPPERS.items():
+        one = scene.HeapScene(scene.world_xml(bar, fixed=(beside,)), LYING, bar, ("box",), (beside,))
+        found[hand] = list(PoseSampler(one, gripper).free(np.random.default_rng(5), 0, 300, 0.1))
+    assert found[PARALLEL] and not found[REFLEX]
 
 
 def test_shards_of_several_hands_are_not_mixed(shard, tmp_path):

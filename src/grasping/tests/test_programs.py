@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.lab.evaluation import trials
+from grasping.lab.evaluation import lift_file, trials
 from grasping.lab.programs import (
     evaluate,
     evaluate_refinement,
@@ -62,6 +62,7 @@ def in_process_fixture(monkeypatch):
     """The pool's tasks run in a thread of this process: a spawned one imports torch and MuJoCo for seconds."""
     threads = SimpleNamespace(get_context=lambda _method: multiprocessing.dummy)
     monkeypatch.setattr(evaluate, "multiprocessing", threads)
+    monkeypatch.setattr(lift_file, "multiprocessing", threads)
 
 
 @pytest.mark.real
@@ -177,7 +178,7 @@ def test_scenes_and_conditions_are_those_asked_for(tmp_path, monkeypatch, in_pro
     assert {network.precision for network in tasks[0].trained.values()} == {"bfloat16"}
     conditions = tasks[0].conditions
     assert conditions == (0.005, pytest.approx(np.radians(4.0)), True, PARALLEL)
-    monkeypatch.setattr(evaluate, "export", lambda _path, tasks, _processes: exported.extend(tasks))
+    monkeypatch.setattr(lift_file, "write", lambda _path, _make, tasks, _processes: exported.extend(tasks))
     exported = []
     call(monkeypatch, evaluate, "--export", tmp_path / "grasps.json", *options)
     assert {task.conditions for task in exported} == {conditions._replace(shake=False, hand=REFLEX)}

@@ -13,6 +13,7 @@ import torch
 from height_maps import boxes_on_table
 from test_programs import call
 
+from grasping.lab.evaluation import lift_file
 from grasping.lab.programs import find_grasps, make_dataset, train_ggcnn
 from grasping.lab.synthetic import labels, reflex_labels, samples, scene
 from grasping.lab.synthetic.samples import LabelSettings
@@ -238,7 +239,7 @@ def test_shards_of_two_hands_do_not_train_together(shards, tmp_path, monkeypatch
 
 def test_grasps_to_be_checked_go_to_a_file(tmp_path, monkeypatch):
     threads = SimpleNamespace(get_context=lambda _method: multiprocessing.dummy)
-    monkeypatch.setattr(make_dataset, "multiprocessing", threads)
+    monkeypatch.setattr(lift_file, "multiprocessing", threads)
     file = tmp_path / "check.json"
     call(monkeypatch, make_dataset, "--check", file, "--hand", REFLEX, "--split", "validation", "--scenes", "2")
     content = json.loads(file.read_text())

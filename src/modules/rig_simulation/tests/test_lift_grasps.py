@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -13,8 +14,13 @@ from hypothesis import strategies as st
 from common import lift_trial
 from common.poses import pose
 from common.rotations import rotation_about
+from grasping.lab.evaluation import lift_file
+from grasping.lab.programs import make_attempts
+from grasping.lab.programs.make_attempts import AttemptTask
 from grasping.lab.synthetic import reflex_labels, samples
+from grasping.lab.synthetic.pose_labels import REASONS
 from grasping.lab.synthetic.scene import SceneCamera, height_map
+from grasping.network import maps
 from rig_simulation.world import lifting
 from rig_simulation.world.lifting import GROUND_M, LOWEST, P_HAND_GRIP, TIPS_M, hand_pose, lift, main, reliability
 
@@ -203,6 +209,24 @@ def content(**more):
     tried.append({"method": "none", "T_world_grasp": None, "width": None, "target": None, "peak": None})
     scene = {"split": "test", "scene": 3, "objects": 1, "mjcf": SCENE, "qpos": lying().tolist(), "grasps": tried}
     return {"schema": 2, "scenes": [{**scene, **more}]}
+
+
+def test_attempts_to_train_on_are_lifted_each_along_its_own_approach(tmp_path):
+    weights = Path(__file__).parents[3] / "grasping" / "weights" / "ggcnn2_reflex.pt"
+    task = AttemptTask(
+        tmp_path / "shard.npz", "train", range(1, 2), weights, 8, None, maps.REFLEX, tmp_path / "results"
+    )
+    file = tmp_path / "grasps.json"
+    file.write_text(json.dumps({"schema": lift_file.SCHEMA, "scenes": [make_attempts.exported((task, 1))]}))
+    (scene,) = lifting.read(file)
+    assert len(scene["grasps"]) == 8 and all(one["own_approach"] for one in scene["grasps"])
+    scene["grasps"][3]["T_world_grasp"][2][3] += 0.3
+    rows = lifting.try_scene(lifting.SceneTask(scene, {"shake": True, "ground": 0.0}))
+    task.results.write_text(json.dumps(rows))
+    make_attempts.make_shard(task)
+    with np.load(task.path) as arrays:
+        assert [REASONS[reason] for reason in arrays["reason"]] == [row["reason"] for row in rows]
+        assert (arrays["reason"] == 0).any() and REASONS[arrays["reason"][3]] == lift_trial.MISSED
 
 
 @pytest.mark.real

@@ -35,11 +35,11 @@ from common.errors import RigError
 from common.lift_trial import LIFTED
 from common.ros.files import read_yaml
 from grasping.lab.dataset import labelled_images
-from grasping.lab.evaluation import sheets, tables, trials
+from grasping.lab.evaluation import lift_file, sheets, tables, trials
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic import surroundings
 from grasping.lab.synthetic.samples import view
-from grasping.lab.synthetic.scene import points, world_xml
+from grasping.lab.synthetic.scene import points
 from grasping.network import maps, weights
 from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
 from grasping.network.networks import FLOAT32, PRECISIONS, MapNetwork, frozen, infer
@@ -103,20 +103,13 @@ def export_scene(task: Task) -> dict:
     of, chosen = chosen_grasps(task)
     tried = {name: trials.executed(of, peak, task.conditions) for name, peak in chosen.items()}
     friction = next((t.friction for t in tried.values() if t is not None), trials.FRICTION[0])
-    grasps = []
-    for name, peak in chosen.items():
-        grasp: dict[str, Any] = {"method": name, "T_world_grasp": None, "width": None, "target": None, "peak": None}
-        if (t := tried[name]) is not None and peak is not None:
-            grasp.update(T_world_grasp=t.T_world_grasp.tolist(), width=t.width, target=t.target, peak=peak._asdict())
-        grasps.append(grasp)
-    return {
-        "split": task.split,
-        "scene": task.number,
-        "objects": len(of.view.scene.objects),
-        "mjcf": world_xml(of.view.scene.objects, friction, fixed=of.view.scene.fixed),
-        "qpos": of.view.scene.state.tolist(),
-        "grasps": grasps,
-    }
+    grasps = [
+        lift_file.no_grasp(name)
+        if (t := tried[name]) is None
+        else lift_file.grasp_entry(name, t.T_world_grasp, t.width, t.target, peak)
+        for name, peak in chosen.items()
+    ]
+    return lift_file.scene_entry(task.split, task.number, of.view.scene, friction, grasps)
 
 
 def object_count(number: int) -> int:
@@ -171,13 +164,6 @@ def draw_failures(folder: Path, split: str, rows: Mapping[str, Sequence[Mapping[
         shown = [next(pictures) for _ in own[: sheets.MOST]]
         path = folder / f"failures_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.png"
         sheets.failure_sheet(path, name, len(rows[name]), [row["reason"] for row in own], shown)
-
-
-def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
-    export_schema = 2
-    with multiprocessing.get_context("spawn").Pool(processes) as pool:
-        scenes = list(tqdm(pool.imap(export_scene, tasks), total=len(tasks), unit="scene"))
-    path.write_text(json.dumps({"schema": export_schema, "scenes": scenes}) + "\n")
 
 
 @contextlib.contextmanager
@@ -309,7 +295,7 @@ def main() -> None:
     numbers = range(arguments.first, arguments.first + arguments.scenes)
     tasks = [Task(arguments.split, number, trained, conditions) for number in numbers]
     if arguments.export is not None:
-        export(arguments.export, tasks, arguments.processes)
+        lift_file.write(arguments.export, export_scene, tasks, arguments.processes)
         return
     try:
         rows = evaluate(arguments.folder, tasks, arguments.processes)

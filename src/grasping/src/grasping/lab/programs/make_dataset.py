@@ -8,7 +8,6 @@ lifts them with the ReFlex and compares.
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -24,11 +23,11 @@ from common.command_line import whole
 from common.errors import RigError
 from common.poses import pose
 from common.rotations import rotation_about
+from grasping.lab.evaluation import lift_file
 from grasping.lab.evaluation.lifting import nearest_object
 from grasping.lab.evaluation.trials import FRICTION
 from grasping.lab.synthetic import labels, samples
 from grasping.lab.synthetic.samples import LabelSettings
-from grasping.lab.synthetic.scene import world_xml
 from grasping.network.maps import HANDS, PARALLEL, Peak
 
 Task = TypeVar("Task")
@@ -139,16 +138,8 @@ def scene_grasps(split: str, number: int, settings: samples.LabelSettings) -> di
         T = pose(seen.camera.R, seen.camera.position) @ T_camera_grasp
         peak = Peak(int(at[0]), int(at[1]), *(float(v[at]) for v in (label.quality, label.angle, label.opening)))
         target = nearest_object(seen.scene, T[:3, 3])
-        found = {"width": peak.width * d / of_hand.focal, "target": target, "peak": peak._asdict()}
-        grasps.append({"method": method, "T_world_grasp": T.tolist(), **found})
-    return {
-        "split": split,
-        "scene": number,
-        "objects": len(seen.scene.objects),
-        "mjcf": world_xml(seen.scene.objects, friction, fixed=seen.scene.fixed),
-        "qpos": seen.scene.state.tolist(),
-        "grasps": grasps,
-    }
+        grasps.append(lift_file.grasp_entry(method, T, peak.width * d / of_hand.focal, target, peak))
+    return lift_file.scene_entry(split, number, seen.scene, friction, grasps)
 
 
 def heights(seen: samples.SceneView, of_hand: samples.SceneGrasps) -> np.ndarray:
@@ -174,7 +165,6 @@ def ignore_warning(_text: str) -> None:
 
 
 def main() -> None:
-    check_schema = 2  # of the file of `evaluate_grasps.py --export`
     widest_margin_m = 0.05
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?", help="where the shards go")
@@ -198,9 +188,7 @@ def main() -> None:
     if arguments.check is not None:
         numbers = [(arguments.split, number, settings) for number in range(arguments.scenes)]
         try:
-            with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
-                scenes = list(tqdm(pool.imap(checked_scene, numbers), total=len(numbers), unit="scene"))
-            arguments.check.write_text(json.dumps({"schema": check_schema, "scenes": scenes}) + "\n")
+            lift_file.write(arguments.check, checked_scene, numbers, arguments.processes)
         except OSError as error:
             parser.error(f"{arguments.check} cannot be written: {error.strerror}.")
         return

@@ -1,5 +1,5 @@
 """Attempts to train on: hypotheses of a scene's image, and those of a sampler that knows the shapes, each lifted once
-with the arm's error and shaken."""
+with the arm's error and shaken. The parallel gripper lifts here; the rig's hand by way of `evaluation.lift_file`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from common.poses import inverse, pose
 from grasping.lab.evaluation import trials
 from grasping.lab.evaluation.lifting import lift
 from grasping.lab.synthetic.full_poses import PoseSampler
-from grasping.lab.synthetic.pose_labels import REASONS, meant
-from grasping.lab.synthetic.samples import GRIPPER, SPLITS, SceneView, view
+from grasping.lab.synthetic.labels import Gripper
+from grasping.lab.synthetic.pose_labels import meant
+from grasping.lab.synthetic.samples import GRIPPER, GRIPPERS, SPLITS, SceneView, view
+from grasping.lab.synthetic.scene import HeapScene
 from grasping.network import maps
-from grasping.network.depth_image import prepare
+from grasping.network.depth_image import NetworkImage, prepare
+from grasping.network.maps import PARALLEL
 from grasping.network.networks import MapNetwork, infer
 from grasping.poses.chooser import ImageMaps, choose
 from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, Turn, hypotheses, said_of, varied
@@ -25,14 +28,14 @@ SMOOTHING = maps.Smoothing(quality=2.0)
 
 
 class Attempts(NamedTuple):
-    """k attempts in one scene."""
+    """k attempts in one scene, as the hand makes them."""
 
-    depth: np.ndarray  # the network's image, shape (300, 300), float32 [m]
-    valid: np.ndarray  # where the camera had a reading, shape (300, 300), bool
-    T: np.ndarray  # T_camera_grasp, shape (k, 4, 4) [m]
-    opening: np.ndarray  # shape (k,) [m]
-    seen: np.ndarray  # as `Hypotheses.seen`, shape (k, 3)
-    reason: np.ndarray  # number in `pose_labels.REASONS`, 0 for a lift, shape (k,), uint8
+    scene: HeapScene
+    image: NetworkImage  # of the scene
+    tried: Hypotheses
+    T_world_grasp: np.ndarray  # with the arm's error, shape (k, 4, 4) [m]
+    friction: np.ndarray  # of the scene, shape (k,)
+    target: np.ndarray  # number of the object that each is meant for, shape (k,)
 
 
 def image_maps(seen: SceneView, network: MapNetwork) -> ImageMaps:
@@ -44,37 +47,47 @@ def image_maps(seen: SceneView, network: MapNetwork) -> ImageMaps:
     )
 
 
-def attempts(split: str, number: int, network: MapNetwork, most: int, lifts: LiftNetwork | None = None) -> Attempts:
+def attempts(
+    split: str, number: int, network: MapNetwork, most: int, hand: str = PARALLEL, lifts: LiftNetwork | None = None
+) -> Attempts:
     """Returns at most `most` attempts in a scene: of GGCNN's best places, of any, and of those that the shapes offer,
-    and of poses near all of these; with a network of lifts, of those that it believes in."""
+    and of poses near all of these; with a network of lifts, of those that it believes in. `hand`: of `maps.HANDS`."""
     rng = np.random.default_rng([66, SPLITS[split].number, number])
     seen = view(split, number)
     of = image_maps(seen, network)
-    tried = _drawn(rng, seen, of, most) if lifts is None else _believed(rng, of, most, lifts)
+    gripper = GRIPPERS[hand]
+    tried = _drawn(rng, seen, of, most, gripper) if lifts is None else _believed(rng, of, most, lifts, gripper)
     T_world_camera = pose(seen.camera.R, seen.camera.position)
-    reasons = []
-    for T, opening in zip(tried.T, tried.opening):
+    missed, frictions, targets = [], [], []
+    for T in tried.T:
         miss = trials.miss(rng, trials.USUAL)
-        T_world_grasp = T_world_camera @ T
-        target = meant(split, seen.scene, T_world_grasp)
-        friction = float(rng.uniform(*trials.FRICTION))
-        at = T_world_grasp @ miss, opening, GRIPPER, friction, target
-        result = lift(seen.scene, *at, shake=True)
-        reasons.append(REASONS.index(result.reason))
-    return Attempts(of.image.depth, of.image.valid, *tried, np.array(reasons, np.uint8))
+        targets.append(meant(split, seen.scene, T_world_camera @ T))
+        frictions.append(float(rng.uniform(*trials.FRICTION)))
+        missed.append(T_world_camera @ T @ miss)
+    at = np.array(missed).reshape(-1, 4, 4), np.array(frictions), np.array(targets, int)
+    return Attempts(seen.scene, of.image, tried, *at)
 
 
-def _believed(rng: np.random.Generator, of: ImageMaps, most: int, lifts: LiftNetwork) -> Hypotheses:
+def lifted(of: Attempts) -> list[str]:
+    """Returns what comes of each attempt with the parallel gripper, of `pose_labels.REASONS`."""
+    each = zip(of.T_world_grasp, of.tried.opening, of.friction, of.target)
+    return [
+        lift(of.scene, T, opening, GRIPPER, friction, int(target), shake=True).reason
+        for T, opening, friction, target in each
+    ]
+
+
+def _believed(rng: np.random.Generator, of: ImageMaps, most: int, lifts: LiftNetwork, gripper: Gripper) -> Hypotheses:
     """Returns grasps that a network of lifts ranks first, and some behind these: what training on others' grasps
     overrates."""
     mean_rank = 40.0
-    ranked = choose(lifts, of, GRIPPER.opening).of
+    ranked = choose(lifts, of, gripper.opening).of
     behind = rng.exponential(mean_rank, most - 1).astype(int)
     return ranked.part(np.unique([0, *np.minimum(behind, len(ranked.T) - 1)])) if len(ranked.T) else ranked
 
 
-def _drawn(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int) -> Hypotheses:
-    tries, most_open, frame = 40, GRIPPER.opening, of.frame()
+def _drawn(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int, gripper: Gripper) -> Hypotheses:
+    tries, most_open, frame = 40, gripper.opening, of.frame()
     at = of.maps, of.certainty, of.image, of.camera, frame, most_open
     usual = hypotheses(*at, TURNS)
     random = [Turn(*rng.uniform((-1.6, -0.6, -0.6, -0.01, -0.01), (1.6, 0.6, 0.6, 0.03, 0.02))) for _ in range(8)]
@@ -84,7 +97,7 @@ def _drawn(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int) 
         # Places stand in the order of GGCNN's quality.
         first = np.minimum(rng.exponential(6.0 * len(TURNS), most // 4).astype(int), len(usual.T) - 1)
         parts += [usual.part(first), other.part(rng.integers(len(other.T), size=most // 4))]
-    sampler = PoseSampler(seen.scene, GRIPPER)
+    sampler = PoseSampler(seen.scene, gripper)
     T_camera_world = inverse(pose(seen.camera.R, seen.camera.position))
     exact = []
     for target in rng.permutation(len(seen.scene.objects)):

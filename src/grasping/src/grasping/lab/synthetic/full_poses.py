@@ -95,15 +95,13 @@ class PoseSampler:
     def touches(self, candidate: FullPose) -> bool:
         """Whether the open hand touches anything at the grasp or on its way there."""
         T, gripper = candidate.T_world_grasp, self._gripper
+        half = 0.5 * (max(candidate.opening, gripper.least) + gripper.thickness)
         approach = T[:3, 2]
         for back in (0.0, 0.03, 0.08):
             tips = T[:3, 3] + (gripper.reach - back) * approach
             places = (
                 tips - (FINGER_M + 0.01) * approach,
-                *(
-                    tips - 0.5 * FINGER_M * approach + side * 0.5 * (candidate.opening + gripper.thickness) * T[:3, 0]
-                    for side in (-1.0, 1.0)
-                ),
+                *(tips - 0.5 * FINGER_M * approach + side * half * T[:3, 0] for side in (-1.0, 1.0)),
             )
             quaternion = quaternion_from_rotation(T[:3, :3])[[3, 0, 1, 2]]
             for part, place in zip(self._hand, places):

@@ -30,6 +30,7 @@ class Gripper(NamedTuple):
     palm: float = 0.060  # from the tips to the palm
     friction: float = 0.5  # coefficient that a grasp may count on
     margin: float = 0.0  # added to the opening of a label, as far as the gripper opens
+    least: float = 0.0  # between the pads when the hand comes down
 
 
 class Grasps(NamedTuple):

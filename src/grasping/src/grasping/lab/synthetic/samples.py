@@ -15,7 +15,7 @@ import numpy as np
 from common.poses import inverse, pose
 from grasping.lab.synthetic import labels, random_urdfs, reflex_labels, scene, shapes, surroundings
 from grasping.network import depth_image
-from grasping.network.maps import PARALLEL, WIDTH_SCALE_PX
+from grasping.network.maps import PARALLEL, REFLEX, WIDTH_SCALE_PX
 
 FOCAL_PX = 570.3  # focal length of the 640 x 480 image
 BASELINE_M = 0.075  # between projector and camera, along the rows
@@ -24,6 +24,12 @@ SCALE_ERROR = 0.005  # of the distances of one camera, standard deviation
 CELL_M = 0.0025
 CELLS = 168
 GRIPPER = labels.Gripper()
+GRIPPERS = {
+    PARALLEL: GRIPPER,
+    REFLEX: GRIPPER._replace(opening=0.116, least=0.116, thickness=0.020, breadth=0.068, reach=0.041, friction=1.1),
+}
+"""What poses are sampled for; the ReFlex as two broad fingers, which always come down half closed: more of them meet
+something than do with the hand."""
 
 
 class Split(NamedTuple):
