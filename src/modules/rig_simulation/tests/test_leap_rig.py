@@ -140,6 +140,23 @@ def test_a_stop_brings_whatever_moves_to_rest(start):
     )
 
 
+@pytest.mark.parametrize("seconds", [0.15, 0.3, 0.8])
+def test_a_motion_stops_from_its_present_speed_within_the_arms_limits(seconds):
+    client = Client(speed_limit=10.0)
+    client.arm.q = np.array([0.0, 1.2, 0.0, -0.4, 0.0, 0.0, 0.0])
+    assert client.one("jRelVel_1_") == client.one(FAR_LINE) == client.one("doPTPinJS") == "done\n"
+    client.live(seconds)
+    client.application.stop()
+    longest = 1.5 * np.max(np.abs(client.arm.v) / client.arm.motion_acceleration)
+    begin = client.now
+    while client.arm.v.any():
+        before = client.arm.v
+        client.wait(0.001)
+        if client.arm.v.any():
+            assert np.all(np.abs(client.arm.v - before) <= 1.01e-3 * client.arm.acceleration)
+    assert client.now - begin <= longest + 0.003
+
+
 def test_a_stop_before_the_start_wins_and_an_old_client_hears_nak():
     client = Client()
     client.one(FAR_LINE)
@@ -252,7 +269,7 @@ def test_contact_breaks_a_motion_and_is_named(push, word):
 def test_tool_and_load_are_one_mass_and_the_arm_knows_it():
     client = Client(tool_weight=True)
     client.arm.q = FAR
-    body = client.arm._tool
+    body = client.arm.hand
     unknown = np.max(np.abs(client.arm.external_torques))
     centre = "_".join(str(1000.0 * x) for x in body.com)
     answer = client.one(f"lrTool_{body.mass}_{centre}_0_0_200_0_0_0_")

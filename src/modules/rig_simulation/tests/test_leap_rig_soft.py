@@ -39,7 +39,7 @@ class Soft(Client):
             assert "done\n" in self.take()
         else:
             self.arm.q = HOME
-        body = self.arm._tool
+        body = self.arm.hand
         centre = "_".join(str(1000.0 * x) for x in body.com)
         assert self.one(f"lrTool_{mass * body.mass}_{centre}_0_0_200_0_0_0_").startswith("ok_")
         self.take()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -59,7 +60,7 @@ class SimulatedArm:
         self.q, self.v = np.zeros(7), np.zeros(7)  # joint angles [rad] and speeds; replaced, never changed
         self._v_before, self._last_dt = self.v, CYCLE_S
         self.T_flange_tool = np.eye(4)  # the attached tool
-        self._tool = tool_body()  # what is on the flange
+        self.hand = tool_body()  # what is on the flange
         self.goal = np.zeros(7)
         self.safety_stop: str | None = None  # cause of the active safety stop
         self.stops = 0  # safety stops so far
@@ -85,6 +86,7 @@ class SimulatedArm:
         self._break_when: Callable[[SimulatedArm], str] | None = None
         self.broken_by = ""  # what broke the last planned motion
         self._motion_time, self._motion_rate = 0.0, 1.0
+        self._braking_time = math.inf  # longest, of a planned motion that is to stop at once [s]
         self._breaking = False
         self._joint_torque, self._tool_force, self._touch_torque = np.zeros(7), np.zeros(3), np.zeros(7)
         self._trail: collections.deque[np.ndarray] = collections.deque(maxlen=trail_length)
@@ -134,6 +136,11 @@ class SimulatedArm:
             self.history.append((self.time, self.q, self.v, self.tool_speed))
 
     @property
+    def braking(self) -> bool:
+        """Whether a planned motion or hand guiding is under way and brakes for good."""
+        return self.in_motion and self._breaking
+
+    @property
     def resting(self) -> bool:
         """Whether the arm is at rest and nothing will move it by itself."""
         driven = self.in_motion or (self.in_servo and self.safety_stop is None) or self._backing_off
@@ -153,13 +160,16 @@ class SimulatedArm:
         """Starts a planned motion from the present joint angles; it brakes and ends once `break_when` says what it is
         broken by."""
         self._motion, self._break_when, self.broken_by, self.gave_up = motion, break_when, "", ""
-        self._motion_time, self._breaking = 0.0, False
+        self._motion_time, self._breaking, self._braking_time = 0.0, False, math.inf
         self._motion_rate = 1.0 if self.safety_stop is None else 0.0
         self._check_safety()
 
-    def break_motion(self) -> None:
-        """Brakes a planned motion, which ends there."""
+    def break_motion(self, at_once: bool = False) -> None:
+        """Brakes a planned motion, which ends there; `at_once`: from its present speed in no more time than that takes,
+        instead of in the time that its greatest speed would take."""
         self._breaking = True
+        if at_once:
+            self._braking_time = max(CYCLE_S, float(np.max(np.abs(self.v) / self.motion_acceleration)))
 
     def start_servo(self) -> None:
         """Starts the servo mode with the present joint angles as goal."""
@@ -185,7 +195,7 @@ class SimulatedArm:
     def load_is_right(self) -> bool:
         """Whether what pulls at the arm is what the controller reckons with, so that it may be soft."""
         most_nm = 3.0  # an assumption: the controller's own bound is not published
-        weights = [(self._tool.mass, self._tool.com), *((-mass, com) for mass, com in self._known)]
+        weights = [(self.hand.mass, self.hand.com), *((-mass, com) for mass, com in self._known)]
         torque = self._contact_torques + sum(self.robot.weight(self.q, *each) for each in weights)
         return bool(np.max(np.abs(torque)) <= most_nm)
 
@@ -262,7 +272,7 @@ class SimulatedArm:
         reckons with."""
         tool, load = self._known
         if self.settings.tool_weight:
-            torque = torque + self.robot.weight(self.q, self._tool.mass, self._tool.com)
+            torque = torque + self.robot.weight(self.q, self.hand.mass, self.hand.com)
             if tool[0]:
                 torque = torque - self.robot.weight(self.q, *tool)
         return torque - self.robot.weight(self.q, *load) if load[0] else torque
@@ -296,7 +306,9 @@ class SimulatedArm:
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
         if self._still_backing_off(self._motion_time > 0.0):
             wanted = -back_off_fraction
-        change = dt / motion.braking_time  # as fast as it was planned; of a real arm's braking nothing is published
+        change = dt / min(
+            motion.braking_time, self._braking_time
+        )  # as fast as it was planned; of a real arm's braking nothing is published
         rate = self._motion_rate + min(max(wanted - self._motion_rate, -change), change)
         self._motion_time += 0.5 * (rate + self._motion_rate) * dt
         self._motion_rate = rate

@@ -378,10 +378,10 @@ class LeapRigApplication(Application):
             self._cycle_paused(wanted, why)
         elif why is not None and not self._ending:
             self._ending, self._word = why, ""
-            self._arm.break_motion()
+            self._arm.break_motion(at_once=True)
         elif wanted == "lrPause" and self._ending is None and not self._refused:
             self._ending = PAUSE
-            self._arm.break_motion()
+            self._arm.break_motion(at_once=True)
 
     def _cycle_paused(self, wanted: str | None, why: str | None) -> None:
         if why is not None or wanted == "lrCancel":
