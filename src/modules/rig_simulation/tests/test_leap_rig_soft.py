@@ -212,8 +212,7 @@ def test_a_hand_guides_the_arm_while_the_enabling_switch_is_pressed():
     assert client.arm.tool_speed > 0.02
     client.arm.enabling = False
     begin = client.now
-    while client.arm.v.any():
-        client.wait(0.001)
+    client.until(lambda: not client.arm.v.any())
     assert client.now - begin < 0.1, "its release stops the arm"
     assert client.wait_for_reply() == "done\n" and np.max(np.abs(client.arm.q - HOME)) > 0.01
 
