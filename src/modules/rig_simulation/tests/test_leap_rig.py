@@ -368,8 +368,10 @@ def test_a_dead_client_leaves_a_server_that_takes_the_next(server, connect):
     hello(client)
     client.ask("lrWatchdog_2_60_")
     client.ask(HAND)
-    start(client)
-    clock.sleep(0.5)
+    for line in ("jRelVel_0.15_", HOME_LINE, "doPTPinJS"):
+        assert client.ask(line) == "done\n"
+    clock.sleep(1.0)
+    assert server.control.ask("state")["velocities"][0] < -0.05
     client.close()
     clock.sleep(0.01)
     other = connect()
