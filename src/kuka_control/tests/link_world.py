@@ -60,6 +60,7 @@ class Bench:
         self.controller = Controller(arm, self.loop)
         self.mode = "starting"
         self.arm, self.control_on, self.enable_count, self.off_count, self.payload = arm, True, 1, 0, 0.0
+        self.paused = False
 
     def freeze(self, *spans):
         """Lets the robot's controller stand still in the given spans of time [s]."""
@@ -113,7 +114,9 @@ class Bench:
         return Inputs(desired, CLOCK + now, self.switches())
 
     def switches(self):
-        return SwitchState(self.control_on, self.enable_count, payload=self.payload, off_count=self.off_count)
+        return SwitchState(
+            self.control_on, self.enable_count, payload=self.payload, off_count=self.off_count, paused=self.paused
+        )
 
     def switch(self, on):
         self.control_on = on

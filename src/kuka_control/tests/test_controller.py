@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kst import ConnectionLost, MotionRefused, ReplyTimeout, UnexpectedReply
+from kuka_control.loop.arm import ArmState
 from kuka_control.loop.commands import Inputs, Servo, StartPtp, StartServo, Step, StopServo, Wait
 from kuka_control.loop.controller import WARN_EVERY_S, Controller
 from kuka_control.numbers import MAX_MISSED, MISSING_S, OFF_S
@@ -25,6 +26,7 @@ class Arm:
         self.errors, self.remarks = [], []
         self.silent = 0.0
         self.round_trip, self.abilities, self.carry = 0.0, frozenset(), lambda mass: None
+        self.state = ArmState()
         self.measured_joints, self.fresh = Q, True
         self.ptp_arrived = self.read = self.stop_servo = self.start_servo = self._ask
         self.servo = self.start_ptp = lambda *_: self._ask()

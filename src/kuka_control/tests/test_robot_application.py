@@ -46,7 +46,7 @@ def following(one):
 def at_rest(one):
     before = one.robot.q.copy()
     clock.sleep(0.5)
-    return np.max(np.abs(one.robot.q - before)) < 1e-6
+    return bool(np.max(np.abs(one.robot.q - before)) < 1e-6)
 
 
 def test_it_follows_with_the_whole_state_in_each_answer():
@@ -78,6 +78,30 @@ def test_control_off_stops_a_motion_and_nothing_moves_until_it_is_asked_for():
         assert at_rest(one)
         one.switch(True)
         one.run(clock.monotonic() + 20.0, "home")
+
+
+@pytest.mark.parametrize("seconds", [0.0, 3.0])
+def test_a_motion_is_paused_and_continues(seconds):
+    with bench(application=KNOWN) as one:
+        homing(one).paused = True
+        step, _ = events(one, 0.5 if seconds else 0.02)
+        assert step.mode == "homing" and "The motion to home is paused" in step.reason
+        if seconds:
+            assert events(one, seconds)[0].mode == "homing" and one.controller.moving
+            before = one.robot.q
+            events(one, 0.5)
+            np.testing.assert_array_equal(one.robot.q, before)
+        one.paused = False
+        one.run(clock.monotonic() + 20.0, "home")
+
+
+def test_a_paused_motion_is_ended_by_control_off():
+    with bench(application=KNOWN) as one:
+        homing(one).paused = True
+        events(one, 0.5)
+        one.switch(False)
+        step, _ = events(one, 0.5)
+        assert step.mode == "stopped" and "stopped the motion to home" in step.reason
 
 
 def test_control_off_stops_no_motion_of_the_toolbox():
@@ -133,6 +157,33 @@ def test_a_stop_from_another_thread_ends_following():
         assert at_rest(one)
 
 
+@pytest.mark.ros
+@pytest.mark.parametrize("application", [KNOWN, None])
+def test_emergency_stop_stops_the_arm_while_the_control_loop_hangs(application):
+    """Of the toolbox the arm completes its motion."""
+    from kuka_control.ros.controller_node import RobotLink
+
+    with bench(application=application) as one:
+        link = object.__new__(RobotLink)
+        link.arm = homing(one).arm
+        assert link.stop() == ("the robot was told to stop" if application else None)
+        clock.sleep(0.15)
+        assert at_rest(one) is (application is not None)
+
+
+@pytest.mark.ros
+def test_a_stop_that_does_not_reach_the_robot_is_said():
+    from kuka_control.ros.controller_node import RobotLink
+
+    with bench(application=KNOWN) as one:
+        link = object.__new__(RobotLink)
+        link.arm = one.arm
+        channel = one.client._channel
+        channel._transport.abort()
+        channel._address = "127.0.0.1", 1
+        assert "could not be told to stop" in link.stop()
+
+
 def test_the_payload_goes_to_the_robot_at_rest():
     with bench(application=KNOWN) as one:
         homing(one).payload = 0.5
@@ -164,6 +215,16 @@ def test_switches_say_what_control_off_does():
     assert switches.now.off_count == 1
     switches.report("home", None)
     assert switches.set_control(False).message == "Control is off already."
+
+
+def test_only_a_motion_that_the_robot_can_pause_is_paused():
+    switches = Switches()
+    switches.report("home", None)
+    assert not switches.set_paused(True).success and not switches.now.paused
+    switches.report("homing", None, stops=True)
+    assert switches.set_paused(True).success and switches.now.paused
+    switches.report("home", None)
+    assert not switches.now.paused
 
 
 def test_the_watchdogs_times_fit():

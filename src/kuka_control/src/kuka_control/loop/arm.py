@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ class ArmState:
     T_base_tool: np.ndarray | None = None  # as the robot's controller reports it, shape (4, 4) [m]; or None
     force: np.ndarray | None = None  # force at the tool point, in its axes, shape (3,) [N]
     moment: np.ndarray | None = None  # moment at the tool point, in its axes, shape (3,) [Nm]
+    paused: bool = False  # whether the robot has paused a motion
 
 
 WAIT_S = 0.02  # a cycle waits this long for a missing answer, so that the state is published meanwhile [s]
@@ -86,6 +87,11 @@ class Arm(ABC):
     def stop(self) -> None:
         """Stops whatever moves, where the abilities name it; any thread may call it. Raises kst.KstError: it could not
         be said."""
+        raise NotImplementedError
+
+    def pause(self, on: bool) -> None:
+        """Pauses the PTP motion or continues it, where the abilities name "stop". Raises kst.WordRefused: it is not
+        the time for that."""
         raise NotImplementedError
 
     def carry(self, mass: float) -> None:
@@ -207,6 +213,9 @@ class KstArm(Arm):
 
     def stop(self) -> None:
         self._client.stop_motion()
+
+    def pause(self, on: bool) -> None:
+        (self._client.pause_motion if on else self._client.resume_motion)()
 
     def carry(self, mass: float) -> None:
         if not self._weighed or mass == self._asked_load:
@@ -341,6 +350,7 @@ class KstArm(Arm):
             read_only(robot.torques_measured),
             force=read_only(robot.force),
             moment=read_only(robot.moment),
+            paused=robot.mode == "PAUSED",
         )
 
     def _next(self, turn: tuple[_T, ...]) -> _T:
@@ -348,4 +358,5 @@ class KstArm(Arm):
         return turn[self._turn]
 
     def _take(self, field: str, value: np.ndarray) -> None:
-        self.state = replace(self.state, **{field: read_only(value)})
+        changed: dict[str, Any] = {field: read_only(value)}
+        self.state = replace(self.state, **changed)

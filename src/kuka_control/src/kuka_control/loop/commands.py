@@ -34,6 +34,7 @@ class Observation:
     refused: str | None = None  # why the robot's controller refused the last command
     stopped: str | None = None  # why the robot has stopped the arm
     stops: bool = False  # whether the robot can stop a PTP motion
+    paused: bool = False  # whether the robot has paused the PTP motion
     contact: str | None = None  # what the arm felt that ended the last PTP motion before its goal
     age: float = math.inf  # so much older at most were the joints that were measured before [s]
 
@@ -78,13 +79,20 @@ class StopPtp:
 
 
 @dataclass(frozen=True)
+class PausePtp:
+    """Pause the PTP motion that runs, or continue it."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
 class End:
     """The controller exits; `fault` says why, None if it was asked to."""
 
     fault: str | None = None
 
 
-Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, StopPtp, End]
+Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, StopPtp, PausePtp, End]
 
 COMMANDS: dict[Action, Command] = {
     Action.NONE: Wait(),

@@ -24,7 +24,19 @@ from iiwa_kinematics import Ball
 from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop.admission import StreamAdmission
-from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, StopPtp, Wait
+from kuka_control.loop.commands import (
+    COMMANDS,
+    Command,
+    End,
+    Event,
+    Observation,
+    PausePtp,
+    Servo,
+    StartPtp,
+    Step,
+    StopPtp,
+    Wait,
+)
 from kuka_control.loop.goal_stream import SETTLED_RAD, TOLERANCE_RAD, GoalStream, GoalStreamSettings, ServoStream
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.pending_check import ALLOWED, PathVerdict, PendingCheck
@@ -390,6 +402,9 @@ class ControlLoop(ABC, Generic[Settings]):
             reason = f"Control is off: the robot stops the motion to {supervision.name}."
             self._active = replace(self._active, off_count=cycle.switches.off_count, reason=reason)
             return StopPtp()
+        paused = self._paused(cycle, supervision)
+        if paused is not None:
+            return paused
         event = supervision.step(cycle.observation.joints, cycle.now)
         if supervision.held and supervision.still > EXIT_PATIENCE_S and self._exits(cycle):
             return Fired(Trigger.EXIT_WHILE_HELD)
@@ -399,6 +414,19 @@ class ControlLoop(ABC, Generic[Settings]):
             if supervision.held:
                 self.stopped_because = event.sentence
         return Wait()
+
+    def _paused(self, cycle: Cycle, supervision: PtpSupervision) -> Command | None:
+        """Pauses and continues the PTP motion as the operator asks for it, until the robot has done so."""
+        wanted, paused = cycle.switches.paused and cycle.observation.stops, cycle.observation.paused
+        if not (wanted or paused):
+            return None
+        if wanted:
+            reason = f"The motion to {supervision.name} is paused; kuka/pause continues it, control off ends it."
+        else:
+            reason = f"The motion to {supervision.name} continues."
+        fresh = PtpSupervision(supervision.name, supervision.q)  # an arm that is paused is not held by anything
+        self._active = replace(self._active, reason=reason, data=fresh)
+        return Wait() if wanted and paused else PausePtp(wanted)
 
     def _arrived(self, cycle: Cycle) -> Fired:
         if self._active.state is State.PICK_UP:

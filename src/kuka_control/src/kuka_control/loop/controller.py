@@ -4,6 +4,7 @@ from the first missing answer nothing is sent and the goals hold; after `NAMED_S
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -12,13 +13,23 @@ from dataclasses import replace
 import numpy as np
 
 from common.modes import Mode
-from kst import ConnectionLost, KstError, MotionInterrupted, MotionRefused, MotionStopped, ReplyTimeout, WrongMode
+from kst import (
+    ConnectionLost,
+    KstError,
+    MotionInterrupted,
+    MotionRefused,
+    MotionStopped,
+    ReplyTimeout,
+    WordRefused,
+    WrongMode,
+)
 from kuka_control.loop.arm import NO_READING, WAIT_S, Arm
 from kuka_control.loop.commands import (
     End,
     Event,
     Inputs,
     Observation,
+    PausePtp,
     Servo,
     StartPtp,
     StartServo,
@@ -201,7 +212,9 @@ class Controller:
             delay = self._arm.round_trip or 0.0
             age, self._read_from = now + min(delay, WAIT_S) - self._read_from, before - delay
         stops = "stop" in self._arm.abilities
-        observation = Observation(joints, inputs, not self.moving, refused, stopped, stops, contact, age)
+        observation = Observation(
+            joints, inputs, not self.moving, refused, stopped, stops, self._arm.state.paused, contact, age
+        )
         step = self._loop.step(observation, now)
         try:
             if not (self.moving or self.in_servo):
@@ -308,5 +321,9 @@ class Controller:
             self.in_servo = False
         elif isinstance(command, StopPtp):
             self._arm.stop()
+        elif isinstance(command, PausePtp):
+            with contextlib.suppress(WordRefused):  # it has just ended, or brakes; the next cycle looks again
+                self._arm.pause(command.on)
+            self._arm.read()
         elif not isinstance(command, End):
             self._arm.read()

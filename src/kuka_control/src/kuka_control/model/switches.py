@@ -41,6 +41,7 @@ class SwitchState:
     exit_in_place: ExitInPlace | None = None  # why the exit was said to leave the arm where it is
     payload: float = 0.0  # of what the hand holds [kg]
     off_count: int = 0  # how often control was asked to be off
+    paused: bool = False  # whether the PTP motion that runs is to pause
 
 
 class SwitchReply(NamedTuple):
@@ -79,6 +80,8 @@ class Switches:
         desired tool frame once control is switched on; `exit_in_place`: why an exit leaves the arm where it is;
         `stops`: a PTP motion runs, which control off stops."""
         self._stops = stops
+        if self.now.paused and not stops:
+            self._now = replace(self.now, paused=False)
         self._mode = mode
         self._stopped_because = stopped_because
         self._when_enabled = when_enabled
@@ -119,6 +122,13 @@ class Switches:
         first = "" if self._mode == Mode.HOME else " The arm goes home first."
         follows = "The arm follows the desired tool frame once it comes."
         return SwitchReply(True, f"Control is on.{first} {self._when_enabled or follows}")
+
+    def set_paused(self, on: bool) -> SwitchReply:
+        """Pauses the PTP motion that runs, or continues it."""
+        if on and not self._stops:
+            return SwitchReply(False, "Nothing is paused: no motion runs that this robot's application can pause.")
+        self._now = replace(self.now, paused=on)
+        return SwitchReply(True, "The motion is paused." if on else "The motion continues, if one was paused.")
 
     def set_gripper(self, on: bool) -> SwitchReply:
         if on and self.now.exit_requested:

@@ -241,7 +241,7 @@ class _Node:
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
         planner = assembly.move_planner(config, rig, named_configurations(named, rig.model))
         self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames)
-        self._services = Services(self._switches, lambda: self._link.stop())
+        self._services = Services(self._switches, lambda: self._link.stop(), config.robot_server == "leap_rig")
         master.watch.lost.append(lambda _: self._services.disengage())
         offer_tool_check(rig, self._for_tool_check, self._guard_view.collision, frames)
 

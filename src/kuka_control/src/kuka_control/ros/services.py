@@ -1,4 +1,4 @@
-"""The services of a controller: six for its switches, and the check of a tool pose."""
+"""The services of a controller: those for its switches, and the check of a tool pose."""
 
 from __future__ import annotations
 
@@ -27,14 +27,19 @@ EXITS = "Nothing was changed: the controller exits at once."  # what waited whil
 class Services:
     """Offers the services under kuka/ and turns requests into positions of the switches."""
 
-    def __init__(self, switches: Switches, stop: Callable[[], str | None] = lambda: None) -> None:
-        """`stop` stops the arm where the robot can do that, and returns what to say of it, a part of a sentence."""
+    def __init__(
+        self, switches: Switches, stop: Callable[[], str | None] = lambda: None, pausable: bool = False
+    ) -> None:
+        """`stop` stops the arm where the robot can do that, and returns what to say of it, a part of a sentence;
+        `pausable`: PTP motions can be paused."""
         self._stop = stop
         self._lock = clock.Lock()
         self._switches, self._exits = switches, False
         rospy.Service("kuka/exit_app_emergency", exitAppEmergency, self._end_at_once)
         rospy.Service("kuka/exit_app", exitApp, lambda _: self._ask(switches.request_exit))
         rospy.Service("kuka/kuka_control", setKukaControl, lambda r: self._ask(switches.set_control, r.data))
+        if pausable:
+            rospy.Service("kuka/pause", setKukaControl, lambda r: self._ask(switches.set_paused, r.data))
         rospy.Service("kuka/gripper_control", setGripperControl, lambda r: self._ask(switches.set_gripper, r.data))
         rospy.Service("kuka/set_payload", setPayload, lambda r: self._ask(switches.set_payload, r.data))
         rospy.Service("kuka/scaling_factor", setScalingFactor, lambda r: self._ask(switches.set_scale, r.data))
