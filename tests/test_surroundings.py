@@ -287,8 +287,9 @@ def wait_for_master(uri: str) -> None:
 def job(program: Program, around: Surroundings, inputs: dict[str, str]) -> dict:
     """Returns what forked_programs.py needs."""
     root = Path(inputs["root"])
-    own = root / f"{around.name} {program.name}{around.folder.strip('/')}"
-    (own / "home").mkdir(parents=True)
+    own = Path(tempfile.mkdtemp("", f"{around.name} {program.name}{around.folder.strip('/')} ", root))
+    own.chmod(0o755)
+    (own / "home").mkdir()
     folder = Path(around.folder) if around.folder.startswith("/") else own / around.folder
     folder.mkdir(exist_ok=True)
     (own / "log").touch()
