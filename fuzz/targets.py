@@ -615,9 +615,9 @@ def weight_files(data: Any) -> None:
     import torch
 
     from grasping.network import weights
-    from grasping.refinement import refinement_file
+    from grasping.poses import taste_file
 
-    for load in (weights.load, refinement_file.load):
+    for load in (weights.load, taste_file.load):
         try:
             network = load(data)[0]
         except weights.WeightsError:

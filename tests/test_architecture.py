@@ -422,11 +422,10 @@ GRASPING = ROOT / "src/grasping/src/grasping"
 # Each room of the live half, and the rooms that it may import besides itself.
 LIVE_ROOMS = {
     "network": set(),
-    "refinement": {"network"},
-    "poses": {"refinement", "network"},
-    "pipeline": {"poses", "refinement", "network"},
+    "poses": {"network"},
+    "pipeline": {"poses", "network"},
     "execution": {"pipeline", "network"},
-    "ros": {"execution", "pipeline", "poses", "refinement", "network"},
+    "ros": {"execution", "pipeline", "poses", "network"},
 }  # fmt: skip
 
 

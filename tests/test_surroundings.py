@@ -75,7 +75,7 @@ PROGRAMS = [
     Program("grasping/person_study.py", ("analyse", "{images}/none.csv", "{new}/study"), ALONE),
     Program("grasping/train_ggcnn.py", ("{images}", "{new}/run"), ALONE),
     Program("grasping/train_lifts.py", ("{images}", "{new}/run"), ALONE),
-    Program("grasping/train_refinement.py", ("{images}", "{new}/run"), ALONE),
+    Program("grasping/train_refinement.py", ("{images}", "{new}/run", "--lifts", "{images}/none.pt"), ALONE),
     Program("kuka_control/gui.py", (), (WINDOW,)),
     Program("kuka_control/move.py", ("home",)),
     Program("kuka_control/ptp_controller.py"),

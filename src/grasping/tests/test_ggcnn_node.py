@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,9 +37,10 @@ from grasp_msgs.msg import GraspList
 from grasping.pipeline.pipeline import GraspPipeline
 from grasping.pipeline.settings import live_origin, overlaid, settings_from
 from grasping.pipeline.tool_pose import ASKED, RETRY_S, SILENT
-from grasping.refinement import taste
-from grasping.refinement.preference import Preference
-from grasping.refinement.refinement_file import Origin, content
+from grasping.poses.candidates import TASTES
+from grasping.poses.hand_view import SCALARS
+from grasping.poses.taste import nobody
+from grasping.poses.taste_file import Origin, TasteFile, content
 from grasping.ros.weight_files import load_lifts, load_network, load_refinement, own_yaml
 from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
 from tools import launched
@@ -308,6 +311,10 @@ def test_weight_files_are_checked(changes, sentence):
 GGCNN = "ab" * 32
 
 
+def sha256_of(file):
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+
+
 def lift_file(folder, hand=REFLEX, ggcnn=GGCNN, **changes):
     torch.manual_seed(0)
     file = folder / "lifts_reflex.pt"
@@ -316,8 +323,9 @@ def lift_file(folder, hand=REFLEX, ggcnn=GGCNN, **changes):
 
 
 def test_a_network_of_lifts_is_taken_where_its_file_fits(tmp_path):
-    found, why = load_lifts(lift_file(tmp_path), AUTO, REFLEX, GGCNN)
-    assert why == "" and (found.hand, found.ggcnn) == (REFLEX, GGCNN)
+    file = lift_file(tmp_path)
+    found, sha256, why = load_lifts(file, AUTO, REFLEX, GGCNN)
+    assert why == "" and (found.hand, found.ggcnn) == (REFLEX, GGCNN) and sha256 == sha256_of(file)
 
 
 @pytest.mark.parametrize(
@@ -333,8 +341,8 @@ def test_one_of_another_hand_or_ggcnn_is_refused_or_left(tmp_path, changes, sent
     file = str(tmp_path / "none.pt") if changes is None else lift_file(tmp_path, **changes)
     with pytest.raises(RigError, match=sentence):
         load_lifts(file, MUST, REFLEX, GGCNN)
-    found, why = load_lifts(file, AUTO, REFLEX, GGCNN)
-    assert found is None and why.startswith("GG-CNN alone proposes grasps. ") and re.search(sentence, why)
+    found, _, why = load_lifts(file, AUTO, REFLEX, GGCNN)
+    assert found is None and re.search(sentence, why)
 
 
 def test_a_networks_grasps_are_published_with_their_approach_and_the_controller_is_asked_along_it(
@@ -365,7 +373,8 @@ def test_a_networks_grasps_are_published_with_their_approach_and_the_controller_
 def rig(**changes):
     """Returns the rig that the package's own yaml files describe."""
     values = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
-    return live_origin(settings_from(overlaid(values, changes)), "ab" * 32, "LBR7R800")
+    lifts = changes.pop("lifts_sha256", "cd" * 32)
+    return live_origin(settings_from(overlaid(values, changes)), GGCNN, "LBR7R800", lifts)
 
 
 def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
@@ -429,49 +438,87 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
         ({"view": "camera"}, {"view": "table"}, "learned with view: camera, but view is table"),
         ({}, {"table": {"extent": 0.4}}, "learned with table: .*0.65.*, but table is .*0.4"),
         ({}, {"tool": {"closing_angle": 90.0}}, "learned with hand: .*, but hand is"),
+        ({}, {"lifts_sha256": "ef" * 32}, "learned with lifts: cdcdcdcdcdcd..., but lifts is efefefefefef..."),
     ],
 )
-def test_the_second_network_is_refused_on_another_rig_and_where_there_is_none(tmp_path, learned, used, sentence):
-    import torch
-
+def test_a_taste_of_another_rig_is_refused_and_a_missing_one_named(tmp_path, learned, used, sentence):
     file = str(tmp_path / "refinement.pt")
-    torch.save(content({"cup": Preference(taste.nobody(), None)}, rig(**learned)), file)
-    load_refinement(file, rig(**learned))
+    torch.save(content(TasteFile({"cup": nobody()}, rig(**learned))), file)
+    assert list(load_refinement(file, rig(**learned))) == ["cup"]
     with pytest.raises(RigError, match=sentence):
         load_refinement(file, rig(**used))
     with pytest.raises(RigError, match="train_refinement.py"):
         load_refinement("refinement.pt", rig())
 
 
-def refinement_of_kinds(file, view, **tilts):
-    """Writes a refinement of kinds that the operator grasps with these tilts [rad]; returns parameters for the node."""
-    import torch
+class Lifts(LiftNetwork):
+    """Believes that all grasps lift."""
 
-    known, kinds = taste.nobody(), {}
-    for name, tilt in tilts.items():
-        hand = known.hand._replace(tilt_x=np.array([tilt, 0.0, 0.0]))
-        kinds[name] = Preference(known._replace(hand=hand), None)
-    torch.save(content(kinds, Origin(view=view)), file)
-    return {"view": view, "refine": True, "refinement_weights": str(file), "network__weights": "ggcnn2_wide.pt"}
+    def forward(self, features):
+        return 5.0 + 0.5 * features[:, -SCALARS]
+
+
+@pytest.fixture
+def refined(tmp_path, monkeypatch):
+    """Returns a function that writes a taste of kinds that the operator grasps with these tilts [rad], and a network of
+    lifts; it returns parameters for the node."""
+    monkeypatch.setattr(lift_network, "LiftNetwork", Lifts)
+    ggcnn = load_network(parse(NetworkConfig, own_yaml("ggcnn.yaml")["network"])).sha256
+    lifts = lift_file(tmp_path, ggcnn=ggcnn)
+    likes_height = np.zeros(len(nobody().weights))
+    likes_height[TASTES.index("height")] = 0.01
+
+    def write(view="table", **tilts):
+        kinds = {
+            name: nobody()._replace(
+                weights=likes_height, style=nobody().style._replace(tilt_x=np.array([tilt, 0.0, 0.0]))
+            )
+            for name, tilt in tilts.items()
+        }
+        file = tmp_path / "refinement.pt"
+        torch.save(content(TasteFile(kinds, Origin(view=view, lifts=sha256_of(lifts)))), file)
+        return {"view": view, "refine": True, "refinement_weights": str(file), "lift_weights": lifts}
+
+    return write
 
 
 @pytest.mark.parametrize("view", ["camera", "table"])
-def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, calibrated, tmp_path, view):
+def test_with_a_taste_there_are_grasps_in_either_view_and_how_sure_they_are(ros, camera, calibrated, refined, view):
     lists = ros.record("ggcnn/out/grasps", GraspList)
-    choice = refinement_of_kinds(tmp_path / "refinement.pt", view, cup=0.2)
-    start(ros, **choice, reach__ask=False, peaks__threshold=0.05)
-    found = newest(ros, lists, lambda m: m.grasps, "a grasp")
-    approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
+    start(ros, **refined(view, cup=0.2), reach__ask=False)
+    best = newest(ros, lists, lambda m: m.grasps, "a grasp").grasps[0]
+    approach = pose_from_message(best.pose_camera)[:3, 2]
     assert approach @ DOWN == pytest.approx(np.cos(0.2), abs=0.01)  # of the table, in either view
-    assert 0.0 < found.grasps[0].probability <= 1.0
-    assert np.all(np.array([*found.grasps[0].deviations, found.grasps[0].width_deviation]) > 0.0)
+    assert best.own_approach and best.quality > 0.97 and 0.0 < best.probability <= 1.0
+    place, line, tilt, opening = nobody().spreads
+    np.testing.assert_allclose(best.deviations, [place, place, place, tilt, tilt, line], rtol=1e-6)
+    assert best.width_deviation == pytest.approx(opening)
 
 
-def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, tmp_path):
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"refinement_kind": "mug"}, "refinement_kind is 'mug', but must be one of cup, bottle."),
+        ({"lifts": "never"}, "lifts is never, but refine: true chooses among the grasps of that network."),
+        (
+            {"lift_weights": "/nowhere/lifts.pt"},
+            "refine: true chooses among the grasps of a network of lifts, and there is none. The file /nowhere",
+        ),
+        ({"refinement_weights": "/nowhere/a.pt"}, "The file /nowhere/a.pt cannot be read"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_what_a_taste_cannot_do_without_ends_the_node_with_a_sentence(ros, refined, changes, sentence):
+    process = start(ros, **{**refined(cup=0.2, bottle=0.0), "refinement_kind": "cup", **changes})
+    assert process.wait(1.0) == 1
+    log = process.log_path.read_text()
+    assert sentence in log and "Traceback" not in log
+
+
+def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, refined):
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.period = 3 * PERIOD_S
-    choice = refinement_of_kinds(tmp_path / "refinement.pt", "table", cup=0.2, bottle=0.0)
-    process = start(ros, **choice, refinement_kind="cup", reach__ask=False, peaks__threshold=0.05)
+    process = start(ros, **refined(cup=0.2, bottle=0.0), refinement_kind="cup", reach__ask=False)
 
     def tilt():
         approach = pose_from_message(lists[-1].grasps[0].pose_camera)[:3, 2]

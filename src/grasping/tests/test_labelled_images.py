@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from common.errors import RigError
 from grasping.lab.dataset import labelled_images as li
 from grasping.network.depth_image import Crop
-from grasping.network.maps import WIDTH_SCALE_PX
-from grasping.refinement.taste import half_turn
+from grasping.network.maps import WIDTH_SCALE_PX, half_turn
 
 PIXELS = st.floats(0.0, 400.0)
 RECTANGLES = st.builds(

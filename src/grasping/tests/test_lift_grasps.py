@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 import torch
 from table_scene import CAMERA, Nearest, depth_picture
-from test_pipeline import ABOVE, ASIDE, BOX, DT, UP, YAML, Broken, leaning
+from test_pipeline import ABOVE, ASIDE, BOX, DT, UP, YAML, Broken
 
-from common.errors import ConfigError
 from common.poses import check_pose, inverse
 from grasping.pipeline import drawing
 from grasping.pipeline.lift_grasps import ALIKE_RAD
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult
-from grasping.pipeline.projection import turned
 from grasping.pipeline.settings import overlaid, settings_from
 from grasping.poses.hand_view import SCALARS
-from grasping.poses.hypotheses import MAX_TILT_RAD
+from grasping.poses.hypotheses import MAX_TILT_RAD, turned
 from grasping.poses.lift_network import LiftNetwork
 
 BOXES = (BOX, (-0.12, 0.1, 0.0, (0.05, 0.05, 0.06)))
@@ -38,11 +36,11 @@ class Likes(LiftNetwork):
         return 10.0 * quality + 2.0 * agrees - 50.0 * torch.abs(down - self._cos) - 4.0
 
 
-def chain(changes=None, lifts=None, network=None, refinement=None):
+def chain(changes=None, lifts=None, network=None, taste=None):
     s = settings_from(overlaid(YAML, changes or {}))
     lifts = Likes() if lifts is None else lifts
     clock = itertools.count().__next__
-    return GraspPipeline(s.views(), network or Nearest(), s.steps(UP), refinement, clock, lifts)
+    return GraspPipeline(s.views(), network or Nearest(), s.steps(UP), clock, lifts, taste)
 
 
 def look(of: GraspPipeline, place=ABOVE, boxes=BOXES, known=True, images=1) -> PipelineResult:
@@ -145,13 +143,6 @@ def test_an_empty_table_nonsense_and_no_table_have_reasons_or_grasps_but_no_faul
 def test_without_the_cameras_place_there_are_grasps_before_the_camera():
     found = look(chain({"limits": {"z": [-0.2, 0.1]}, **LOW}), known=False)
     assert found.grasps[0].T_base_grasp is None
-
-
-def test_with_a_refinement_the_operator_is_asked_instead():
-    found = look(chain(refinement=leaning(0.1, height=0.01)))
-    assert not found.grasps[0].own_approach and found.grasps[0].uncertainty is not None
-    with pytest.raises(ConfigError, match="lifts is must, but with refine: true it is not asked"):
-        settings_from(overlaid(YAML, {"refine": True, "lifts": "must"}))
     assert settings_from(YAML).steps(UP).max_tilt == MAX_TILT_RAD
 
 

@@ -17,15 +17,12 @@ from table_scene import CAMERA, Nearest, depth_picture, looking_at
 
 from common.config import parse
 from common.errors import ConfigError
-from common.poses import check_pose, inverse, pose
+from common.poses import check_pose, pose
 from common.rotations import rotation_about
 from grasping.pipeline import drawing
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult
 from grasping.pipeline.settings import overlaid, sentences, settings_from
 from grasping.pipeline.tool_pose import LimitsConfig, Reachability, ReachabilityCache, ReachConfig, rejection_reason
-from grasping.refinement import taste
-from grasping.refinement.candidates import TASTES
-from grasping.refinement.preference import Preference
 
 CONFIG = Path(__file__).parents[1] / "config"
 YAML = {
@@ -39,11 +36,11 @@ ASIDE = looking_at((0.45, 0.1, 0.65), (0.0, 0.0, 0.0))
 DT = 1.0 / 15.0
 
 
-def finder(changes=None, network=None, refinement=None) -> GraspPipeline:
+def finder(changes=None, network=None) -> GraspPipeline:
     """The whole chain; the clock advances by a second at each look."""
     s = settings_from(overlaid(YAML, changes or {}))
     network = Nearest() if network is None else network
-    return GraspPipeline(s.views(), network, s.steps(UP), refinement, itertools.count().__next__)
+    return GraspPipeline(s.views(), network, s.steps(UP), itertools.count().__next__)
 
 
 @functools.lru_cache(maxsize=None)
@@ -156,88 +153,6 @@ def test_stamps_that_go_back_begin_anew():
 
 def test_each_stage_is_timed():
     assert look(finder(), ABOVE).seconds == {"view": 1, "network": 1, "peaks": 1, "poses": 1}
-
-
-def leaning(x=0.1, **liked) -> Preference:
-    """Returns an operator whose hand leans by so much [rad] about x, opens 8 mm wider, and likes these features."""
-    hand = taste.nobody().hand._replace(tilt_x=np.array([x, 0.0, 0.0]), opening=np.array([0.008, 0.0]))
-    weights = np.array([liked.get(name.replace(" ", "_"), 0.0) for name in TASTES])
-    return Preference(taste.nobody()._replace(weights=weights, hand=hand), None)
-
-
-VIEWS = pytest.mark.parametrize("view", ["camera", "table"])
-PLACES = pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
-PLAIN = {"approach": {"kind": "camera"}, "peaks": {"threshold": 0.01, "quality_sigma": 2.0}}
-
-
-@VIEWS
-@PLACES
-def test_without_episodes_the_best_grasp_is_the_same(view, place):
-    changes = {"view": view, **PLAIN}
-    plain = look(finder(changes), place, images=3)
-    refined = look(finder(changes, refinement=Preference(taste.nobody(), None)), place, images=3)
-    for a, b in zip(plain.maps, refined.maps):
-        np.testing.assert_array_equal(a, b)
-    a, b = plain.grasps[0], refined.grasps[0]
-    np.testing.assert_array_equal(a.T_base_grasp, b.T_base_grasp)
-    assert a.peak[:3] == b.peak[:3]
-    assert (b.width, b.peak.angle) == pytest.approx((a.width, a.peak.angle))
-
-
-@PLACES
-def test_the_operators_hand_leans_and_opens_wider(place):
-    changes = {"view": "table", **PLAIN}
-    plain, refined = look(finder(changes), place), look(finder(changes, refinement=leaning(0.1, height=0.01)), place)
-    T_view_camera = inverse(refined.view.T_camera_view)
-    a, b = plain.grasps[0], refined.grasps[0]
-    after = T_view_camera @ b.T_camera_grasp
-    np.testing.assert_allclose(after[:3, 2], [0.0, -np.sin(0.1), np.cos(0.1)], atol=0.01)
-    assert b.width == pytest.approx(a.width + 0.008, abs=0.002) or b.width == YAML["tool"]["max_opening"]
-    assert a.uncertainty is None
-    assert 0.0 < b.uncertainty.probability <= 1.0
-    about = taste.nobody()
-    spreads = (about.spread, about.hand.tilt_spread, about.hand.tilt_spread, about.angle_spread)
-    assert b.uncertainty.pose_sd[2:] == pytest.approx(spreads)
-    assert np.all(b.uncertainty.pose_sd[:2] >= about.spread)
-    assert b.uncertainty.opening_sd == about.hand.opening_spread
-
-
-@PLACES
-def test_an_operator_who_likes_what_is_to_the_right_gets_it(place):
-    boxes = (BOX, (-0.09, 0.04, 0.0, (0.05, 0.04, 0.05)))
-    at = []
-    for side in (-30.0, 30.0):
-        found = look(finder({"view": "table", **PLAIN}, refinement=leaning(0.0, right=side)), place, boxes)
-        at.append((inverse(found.view.T_camera_view) @ found.grasps[0].T_camera_grasp)[0, 3])
-        assert [g.quality for g in found.grasps] == sorted((g.quality for g in found.grasps), reverse=True)
-    assert at[1] > at[0] + 0.02
-
-
-def test_another_kind_of_object_is_preferred_otherwise_from_the_next_image_on():
-    chain = finder(PLAIN, refinement=leaning(0.1, height=0.01))
-    look(chain, ABOVE, images=3)
-    chain.refine(leaning(-0.1, height=0.0))
-    found = look(chain, ABOVE).grasps[0]
-    anew = look(finder(PLAIN, refinement=leaning(-0.1, height=0.0)), ABOVE).grasps[0]
-    np.testing.assert_allclose(found.T_base_grasp, anew.T_base_grasp, atol=1e-9)
-    assert found.width == anew.width
-    with pytest.raises(ValueError, match="a chain without a refinement cannot take one"):
-        finder(PLAIN).refine(leaning(0.1))
-
-
-def approach_in_base(azimuth: float, elevation: float) -> np.ndarray:
-    """Returns where a leaning operator grasps along in the table's view of a camera that stands there."""
-    x, y, z = np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
-    place = looking_at((0.8 * x, 0.8 * y, 0.8 * z), (0.0, 0.0, 0.0))
-    found = look(finder(PLAIN, refinement=leaning(0.1, height=0.01)), place)
-    return found.grasps[0].T_base_grasp[:3, 2]
-
-
-def test_above_the_table_its_axes_turn_with_the_cameras_heading_and_do_not_lean_with_it():
-    first = approach_in_base(0.4, 0.8)
-    np.testing.assert_allclose(approach_in_base(0.4, 1.1), first, atol=0.01)
-    np.testing.assert_allclose(approach_in_base(1.1, 0.8), rotation_about(2, 0.7) @ first, atol=0.01)
-    assert np.hypot(*first[:2]) == pytest.approx(np.sin(0.1), abs=0.01)
 
 
 def test_images_for_people():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import json
@@ -66,11 +67,11 @@ def bar_image(height: float = 0.04, turned: float = 0.0, tilt: float = 0.0, besi
 
 
 def of_turns(of: ImageMaps, *turns: Turn) -> Hypotheses:
-    return hypotheses.hypotheses(of.maps, of.certainty, of.image, of.camera, of.frame(), OPEN_M, turns)
+    return hypotheses.hypotheses(of.maps, of.certainty, of.image, of.camera, of.frame, OPEN_M, turns)
 
 
 def seen(of: ImageMaps, tried: Hypotheses) -> np.ndarray:
-    return hand_view.features(tried, of.image, of.camera, of.frame())
+    return hand_view.features(tried, of.image, of.camera, of.frame)
 
 
 def near_fingers(values: np.ndarray) -> np.ndarray:
@@ -109,7 +110,7 @@ def test_a_quarter_turn_goes_along_the_bar_and_ggcnn_disagrees():
 
 def test_where_ggcnn_sees_nothing_objects_are_still_tried():
     of = bar_image()
-    blind = of._replace(maps=of.maps._replace(quality=np.zeros((SIDE, SIDE))))
+    blind = dataclasses.replace(of, maps=of.maps._replace(quality=np.zeros((SIDE, SIDE))))
     found = of_turns(blind, Turn())
     assert len(found.T) > 10
     assert np.abs(found.T[:, 0, 3]).max() < 0.02, "on the bar"
@@ -148,7 +149,7 @@ def test_in_the_mirror_a_hand_sees_what_its_mirror_image_sees(across):
     own = np.diag([-1.0, 1.0, 1.0, 1.0]) if across else np.diag([1.0, -1.0, 1.0, 1.0])
     tried = of_turns(of, *(turn._replace(line=-0.4 + turn.line) for turn in TURNS[:1] + TURNS[4:]))
     depth = of.image.depth[:, ::-1] if across else of.image.depth[::-1]
-    mirror = of._replace(image=of.image._replace(depth=np.ascontiguousarray(depth)))
+    mirror = dataclasses.replace(of, image=of.image._replace(depth=np.ascontiguousarray(depth)))
     seen_there = seen(mirror, tried._replace(T=flip @ tried.T @ own))
     expected = hand_view.mirrored(seen(of, tried), across, not across)
     assert (np.abs(expected - seen_there) < 1e-4).mean() > 0.99
@@ -159,7 +160,7 @@ def test_in_the_mirror_a_hand_sees_what_its_mirror_image_sees(across):
 
 def test_before_a_tilted_camera_a_bar_that_lies_askew_is_grasped_across_it():
     of = bar_image(turned=0.4, tilt=0.1)
-    frame = of.frame()
+    frame = of.frame
     np.testing.assert_allclose(frame.R[:, 2], (0.0, -np.sin(0.1), np.cos(0.1)), atol=2e-3)
     found = of_turns(of, Turn(), Turn(roll=0.3))
     straight = found.T[::2]
@@ -185,8 +186,8 @@ def test_features_are_finite_and_bounded_even_outside_the_image():
 def test_poses_near_others_stay_near_and_are_rotations():
     of = bar_image()
     best = of_turns(of, Turn()).part(np.arange(4))
-    T, opening = hypotheses.varied(best, 5, np.random.default_rng(0), OPEN_M, of.frame(), 0.1)
-    assert tilts(Hypotheses(T, opening, best.seen), of.frame()).max() <= 0.1 + 1e-6
+    T, opening = hypotheses.varied(best, 5, np.random.default_rng(0), OPEN_M, of.frame, 0.1)
+    assert tilts(Hypotheses(T, opening, best.seen), of.frame).max() <= 0.1 + 1e-6
     assert T.shape == (20, 4, 4)
     np.testing.assert_allclose(
         T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-9
@@ -202,7 +203,7 @@ def test_the_chosen_are_in_order_and_tilt_no_further_than_allowed():
     for most in (0.02, 0.3, MAX_TILT_RAD):
         found = choose(network, of, OPEN_M, most)
         assert (np.diff(found.probability) <= 0.0).all()
-        assert tilts(found.of, of.frame()).max() <= most + 1e-5
+        assert tilts(found.of, of.frame).max() <= most + 1e-5
         assert ((found.probability > 0.0) & (found.probability < 1.0)).all()
     again = choose(network, of, OPEN_M, MAX_TILT_RAD)
     np.testing.assert_array_equal(again.probability, found.probability)
@@ -268,7 +269,7 @@ def test_overconfident_logits_are_calibrated():
 
 def test_grasps_are_turned_upright_no_further_than_needed():
     of = bar_image(tilt=0.1)
-    tried, frame = of_turns(of, *TURNS), of.frame()
+    tried, frame = of_turns(of, *TURNS), of.frame
     before, most = tilts(tried, frame), 0.3
     turned = hypotheses.upright(tried.T[:, :3, :3], frame, most)
     after = np.arccos(np.clip(turned[:, :, 2] @ frame.R[:, 2], -1.0, 1.0))
@@ -427,7 +428,7 @@ def test_opposed_surfaces_of_a_bar_are_its_long_sides(turned, tilt):
     assert score >= 5
     np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
     tips = T[:3, 3] + GRIPPER.reach * T[:3, 2]
-    high = of.frame().distance - tips @ of.frame().R[:, 2]
+    high = of.frame.distance - tips @ of.frame.R[:, 2]
     assert -0.01 < high < 0.04, "between the table and the top"
 
 

@@ -14,8 +14,9 @@ from common.rotations import rotation_about, rotation_from_zyx
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak
 from grasping.pipeline.pipeline import GraspPipeline, PipelineSettings
-from grasping.pipeline.projection import along, camera_pixel, depth_between_fingers, project_grasp, seen_by, turned
+from grasping.pipeline.projection import along, camera_pixel, depth_between_fingers, project_grasp, seen_by
 from grasping.pipeline.view import CameraView, CropConfig
+from grasping.poses.hypotheses import turned
 
 F = 570.3
 CAMERA = pinhole("test", 640, 480, [[F, 0.0, 319.5], [0.0, F, 239.5], [0.0, 0.0, 1.0]])

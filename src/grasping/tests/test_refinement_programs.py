@@ -26,16 +26,17 @@ from grasping.lab.evaluation.person_study import BOTH, NETWORK, PERSON
 from grasping.lab.programs import evaluate, evaluate_refinement, make_dataset, make_episodes, train_refinement
 from grasping.lab.programs.make_episodes import EpisodeTask
 from grasping.lab.synthetic import simulated_operator
-from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
-from grasping.lab.training import refinement_examples
+from grasping.lab.synthetic.simulated_operator import OPERATORS
+from grasping.network.maps import PARALLEL
 from grasping.poses import taste_file
+from grasping.poses.candidates import TASTES
 from grasping.poses.lift_network import LiftNetwork, saved
-from grasping.refinement import refinement_file
-from grasping.refinement.refinement_file import Origin, content
+from grasping.poses.taste_file import Origin, TasteFile, content
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2_wide.pt"
+GGCNN = hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
 NUMBERS = (0, 1, 2, 3, 4)
-WHO = ("high", "middle", ANYBODIES[1])
+WHO = ("high", "middle")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -108,13 +109,15 @@ def test_all_operators_see_the_same_and_choose_for_themselves(every):
 
 
 @pytest.mark.parametrize("views", [("camera", "table"), ("above",)])
-def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_path, monkeypatch, capsys, views):
+def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(
+    data, lifts, tmp_path, monkeypatch, capsys, views
+):
     for i, view in enumerate(views):
         episode = store.decode((data / f"{simulated_operator.file_name('kind_hammer', i)}.npz").read_bytes())
         metadata = replace(episode.metadata, configuration={"view": view})
         (tmp_path / f"{i}.npz").write_bytes(store.encode(replace(episode, metadata=metadata)))
     with pytest.raises(SystemExit):
-        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
+        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run", "--lifts", lifts)
     assert f"of the views {', '.join(views)}, whose grasps have other axes" in capsys.readouterr().err
 
 
@@ -132,25 +135,42 @@ def test_what_an_operator_meant_is_without_miss_and_tremor(data):
         assert 0.0 < np.linalg.norm(off) < 0.025
 
 
-def test_training_learns_and_says_what(every, data, tmp_path, monkeypatch, capsys):
+def test_training_learns_and_says_what(data, lifts, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
-    call(monkeypatch, train_refinement, data, run)
+    call(monkeypatch, train_refinement, data, run, "--lifts", lifts)
     said = json.loads(capsys.readouterr().out)
     assert said == json.loads((run / "settings.json").read_text())
     assert list(said["kinds"]) == ["hammer"]
-    assert said["kinds"]["hammer"]["episodes"] == len(NUMBERS)
-    assert not said["kinds"]["hammer"]["constrained"]
-    kinds, origin = refinement_file.load((run / "weights.pt").read_bytes())
-    known = kinds["hammer"]
-    sha256 = hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
-    assert origin == Origin(view="camera", crop={"side": 400, "rows_up": 0}, network=sha256)
-    assert known.taste.weights.any()
-    assert known.lifts is None
-    monkeypatch.setattr(refinement_examples, "FEWEST", 2)
-    monkeypatch.setattr(store, "decode", failing_every_other(store.decode))
-    call(monkeypatch, train_refinement, data, run, "--outcomes", every / ANYBODIES[1])
-    assert json.loads((run / "settings.json").read_text())["kinds"]["hammer"]["constrained"]
-    assert refinement_file.load((run / "weights.pt").read_bytes())[0]["hammer"].lifts is not None
+    kinds, origin = taste_file.load((run / "weights.pt").read_bytes())
+    known, of = kinds["hammer"], said["kinds"]["hammer"]
+    assert of["episodes"] == len(NUMBERS) and list(of["liked"]) == [*TASTES, "lift"]
+    assert of["liked"]["height"] == pytest.approx(known.weights[TASTES.index("height")], abs=0.006)
+    assert (of["spread_mm"], of["spread_opening_mm"]) == pytest.approx(1000.0 * known.spreads[[0, 3]], abs=0.06)
+    assert known.weights.any()
+    sha256 = hashlib.sha256(lifts.read_bytes()).hexdigest()
+    assert origin == Origin(view="camera", crop={"side": 400, "rows_up": 0}, network=GGCNN, lifts=sha256)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"none", "holds no weights of the network of lifts"),
+        (saved(LiftNetwork(PARALLEL, "ab" * 32)), "was made for the GG-CNN abababababab, but the episodes are of "),
+        (None, "No such file"),
+    ],
+    ids=["another file", "another GG-CNN", "no file"],
+)
+def test_a_network_of_lifts_that_does_not_fit_the_episodes_is_refused(
+    data, tmp_path, monkeypatch, capsys, content, sentence
+):
+    file = tmp_path / "lifts.pt"
+    if isinstance(content, bytes):
+        file.write_bytes(content)
+    elif content is not None:
+        torch.save(content, file)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_refinement, data, tmp_path / "run", "--lifts", file)
+    assert sentence in capsys.readouterr().err and not (tmp_path / "run").exists()
 
 
 def of_other_objects(data, folder, *objects):
@@ -162,49 +182,49 @@ def of_other_objects(data, folder, *objects):
         (folder / path.name).write_bytes(store.encode(replace(episode, metadata=metadata)))
 
 
-def learned(monkeypatch, data, run, *options):
+def learned(monkeypatch, data, run, lifts, *options):
     """Returns the arrays that train_refinement.py writes for each kind."""
-    call(monkeypatch, train_refinement, data, run, *options)
-    kinds, _ = refinement_file.load((run / "weights.pt").read_bytes())
-    return {name: {k: np.array(v) for k, v in content({name: of}, Origin()).items()} for name, of in kinds.items()}
+    call(monkeypatch, train_refinement, data, run, "--lifts", lifts, *options)
+    kinds, _ = taste_file.load((run / "weights.pt").read_bytes())
+    return {
+        name: {k: np.array(v) for k, v in content(TasteFile({name: of}, Origin())).items()}
+        for name, of in kinds.items()
+    }
 
 
-def test_each_kind_learns_from_its_own_episodes_as_if_it_were_alone(data, tmp_path, monkeypatch, capsys):
+def test_each_kind_learns_from_its_own_episodes_as_if_it_were_alone(data, lifts, tmp_path, monkeypatch, capsys):
     both = tmp_path / "both"
     of_other_objects(data, both, "cup", "bottle, cup")
-    found = learned(monkeypatch, both, tmp_path / "run")
+    found = learned(monkeypatch, both, tmp_path / "run", lifts)
     assert list(found) == ["bottle", "cup"]
     said = json.loads(capsys.readouterr().out)["kinds"]
     assert {name: kind["episodes"] for name, kind in said.items()} == {"bottle": 2, "cup": 5}
     for name, of in found.items():
-        alone = learned(monkeypatch, both, tmp_path / name, "--only", name)
+        alone = learned(monkeypatch, both, tmp_path / name, lifts, "--only", name)
         assert list(alone) == [name]
         for key, value in of.items():
             np.testing.assert_array_equal(alone[name][key], value)
-    assert list(learned(monkeypatch, both, tmp_path / "run", "--only", "cup", "--only", "bottle")) == list(found)
+    chosen = learned(monkeypatch, both, tmp_path / "run", lifts, "--only", "cup", "--only", "bottle")
+    assert list(chosen) == list(found)
     assert (found["bottle"]["0/weights"] != found["cup"]["0/weights"]).any()
-    pooled = learned(monkeypatch, both, tmp_path / "run", "--pooled")
-    assert list(pooled) == [refinement_file.ANY_KIND]
-    np.testing.assert_array_equal(pooled[refinement_file.ANY_KIND]["0/weights"], found["cup"]["0/weights"])
+    pooled = learned(monkeypatch, both, tmp_path / "run", lifts, "--pooled")
+    assert list(pooled) == [taste_file.ANY_KIND]
+    np.testing.assert_array_equal(pooled[taste_file.ANY_KIND]["0/weights"], found["cup"]["0/weights"])
 
 
-def test_a_kind_without_episodes_is_refused(data, tmp_path, monkeypatch, capsys):
+def test_a_kind_without_episodes_is_refused(data, lifts, tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
-        call(monkeypatch, train_refinement, data, tmp_path / "run", "--only", "hammer", "--only", "mug")
+        call(
+            monkeypatch, train_refinement, data, tmp_path / "run", "--lifts", lifts, "--only", "hammer", "--only", "mug"
+        )
     assert "holds no episode of mug: collect some" in capsys.readouterr().err
-
-
-def failing_every_other(decode):
-    """Returns `store.decode` for files of which every other one's grasp failed."""
-    count = iter(range(1000))
-    return lambda data: replace(decode(data), held=next(count) % 2 == 0)
 
 
 @pytest.fixture(scope="module", name="lifts")
 def lifts_fixture(tmp_path_factory):
     file = tmp_path_factory.mktemp("lifts") / "lifts.pt"
     torch.manual_seed(0)
-    torch.save(saved(LiftNetwork()), file)
+    torch.save(saved(LiftNetwork(PARALLEL, GGCNN)), file)
     return file
 
 
@@ -231,18 +251,6 @@ def test_predictors_are_compared_and_the_study_reads_it(every, lifts, tmp_path, 
     assert "n = 4 episodes in 2 scenes" in table
     assert "| taste, 3 shown - GG-CNN alone |" in table
     assert len(person_study.kept(person_study.read(results / "results.csv"), 3)) == 12
-
-
-def test_a_taste_is_trained_on_a_network_of_lifts(data, lifts, tmp_path, monkeypatch, capsys):
-    call(monkeypatch, train_refinement, data, tmp_path / "run", "--lifts", lifts)
-    found = taste_file.load((tmp_path / "run" / "weights.pt").read_bytes())
-    assert list(found.kinds) == ["hammer"] and found.kinds["hammer"].weights.any()
-    assert found.lifts == hashlib.sha256(lifts.read_bytes()).hexdigest()
-    assert found.origin.network == hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
-    lifts.with_name("none.pt").write_bytes(b"none")
-    with pytest.raises(SystemExit):
-        call(monkeypatch, train_refinement, data, tmp_path / "run", "--lifts", lifts.with_name("none.pt"))
-    assert "holds no weights of the network of lifts" in capsys.readouterr().err
 
 
 def test_intervals_are_over_scenes():
@@ -274,10 +282,12 @@ def of_another_rig(data, folder, **changes):
         ("robot", {"kuka": {"robot": "LBR14R820"}}),
     ],
 )
-def test_episodes_of_several_rigs_are_refused_unless_asked_for(data, tmp_path, monkeypatch, capsys, name, changes):
+def test_episodes_of_several_rigs_are_refused_unless_asked_for(
+    data, lifts, tmp_path, monkeypatch, capsys, name, changes
+):
     of_another_rig(data, tmp_path, **changes)
     with pytest.raises(SystemExit):
-        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
+        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run", "--lifts", lifts)
     assert f"_000004 differ in {name}: train on those of one, or with --mixed." in capsys.readouterr().err
     mixed = train_refinement.origin_of(train_refinement.read_episodes(tmp_path), mixed=True)
     assert mixed == replace(train_refinement.origin_of(train_refinement.read_episodes(data)), **{name: None})
@@ -290,11 +300,11 @@ def test_things_are_left_out_and_chosen(data):
             train_refinement.read_episodes(data, **choice)
 
 
-def test_a_damaged_episode_is_named(tmp_path, data, monkeypatch, capsys):
+def test_a_damaged_episode_is_named(tmp_path, data, lifts, monkeypatch, capsys):
     whole = next(iter(sorted(data.iterdir()))).read_bytes()
     (tmp_path / "torn.npz").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(SystemExit):
-        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run")
+        call(monkeypatch, train_refinement, tmp_path, tmp_path / "run", "--lifts", lifts)
     assert "torn.npz: The file is torn or damaged" in capsys.readouterr().err
 
 

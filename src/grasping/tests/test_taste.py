@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import io
-from dataclasses import replace
+import dataclasses
 
 import numpy as np
 import pytest
@@ -12,15 +11,12 @@ from test_poses import DOWN, OPEN_M, bar_image
 
 from common.poses import pose
 from grasping.lab.evaluation.grasp_distance import miss
-from grasping.network.weights import WeightsError
-from grasping.poses import taste, taste_file
+from grasping.poses import logit, taste
 from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
 from grasping.poses.hypotheses import level_rotation, rotations
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.preferred import MOST_LOST, SAFE, offer, preferred
 from grasping.poses.taste import PoseTaste, Shown, learned, nobody, options
-from grasping.poses.taste_file import TasteFile, content, load
-from grasping.refinement.refinement_file import Origin
 
 TURNS = np.linspace(-1.2, 1.2, 8)
 """Of the bars that teach."""
@@ -110,7 +106,7 @@ def test_one_grasp_all_alike_or_contradictory_ones_leave_a_taste_that_is_finite_
         assert np.abs(known.weights).max() < 6.0 and (known.spreads > 0.0).all()
     both = learned(ends)
     given = options(SURE, bar_image(turned=0.2), OPEN_M)
-    share = taste.softmax(taste.worths(both.weights, given))
+    share = logit.softmax(taste.worths(both.weights, given))
     assert 0.3 < share[given.of.points[:, 1] > 0.0].sum() < 0.7, "neither end is preferred"
 
 
@@ -121,7 +117,7 @@ def test_a_grasp_that_is_none_of_the_options_teaches_nothing(lessons):
 
 def test_where_ggcnn_sees_nothing_the_safest_grasp_is_taken_and_on_a_bare_table_none(lessons):
     of, known = bar_image(turned=0.5), learned(lessons)
-    blind = of._replace(maps=of.maps._replace(quality=np.zeros_like(of.maps.quality)))
+    blind = dataclasses.replace(of, maps=of.maps._replace(quality=np.zeros_like(of.maps.quality)))
     assert len(options(SURE, blind, OPEN_M).base) == 0
     np.testing.assert_array_equal(grasps(SURE, blind, known).of.T, choose(SURE, blind, OPEN_M).of.T)
     assert len(grasps(SURE, bar_image(height=0.0), known).probability) == 0
@@ -139,45 +135,3 @@ def test_a_wanted_grasp_comes_down_at_its_option():
     np.testing.assert_allclose(
         found.T[:, :3, 3], given.points @ given.frame.R.T + 0.01 * given.frame.R[:, 2], atol=1e-9
     )
-
-
-RIG = Origin(view="camera", crop={"side": 400, "rows_up": 0}, network="ab" * 32)
-
-
-def file(state) -> bytes:
-    stream = io.BytesIO()
-    torch.save(state, stream)
-    return stream.getvalue()
-
-
-def saved(lessons) -> TasteFile:
-    return TasteFile({"cup": learned(lessons[:3]), "bottle": nobody()}, RIG, "cd" * 32)
-
-
-def test_tastes_come_back_as_they_were_saved(lessons):
-    known = saved(lessons)
-    found = load(file(content(known)))
-    assert (list(found.kinds), found.origin, found.lifts) == (["cup", "bottle"], RIG, "cd" * 32)
-    for one, other in zip(known.kinds.values(), found.kinds.values()):
-        np.testing.assert_allclose(one.weights, other.weights, rtol=1e-6)
-        np.testing.assert_allclose(np.concatenate(one.style), np.concatenate(other.style), rtol=1e-6)
-        np.testing.assert_allclose(one.spreads, other.spreads, rtol=1e-6)
-    assert found.origin.mismatch(replace(RIG, network="ef" * 32)).startswith("learned with network")
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "said"),
-    [
-        ("0/weights", torch.full((len(nobody().weights),), torch.nan), "not finite"),
-        ("1/spreads", torch.zeros(4), "not positive"),
-        ("0/miss", torch.zeros(3), "the shape"),
-        ("2/miss", torch.zeros(2), "lacks or adds"),
-        ("about", torch.zeros(3), "no tastes of version"),
-    ],
-)
-def test_another_content_is_refused(lessons, key, value, said):
-    state = content(saved(lessons))
-    state[key] = value
-    with pytest.raises(WeightsError, match=said):
-        load(file(state))
-    assert taste_file.VERSION > 4, "the old refinement's"

@@ -16,8 +16,7 @@ import torch
 from common.ros.files import read_yaml
 from grasping.network import weights
 from grasping.network.maps import PARALLEL, REFLEX
-from grasping.poses import lift_network
-from grasping.refinement import refinement_file
+from grasping.poses import lift_network, taste_file
 
 OWN = {
     "ggcnn2_reflex.pt": ("ggcnn2", REFLEX),
@@ -126,7 +125,7 @@ class Program(torch.nn.Module):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["network", "refinement"])
+@pytest.mark.parametrize("load", [weights.load, taste_file.load], ids=["network", "refinement"])
 def test_no_program_runs(tmp_path, monkeypatch, load):
     monkeypatch.chdir(tmp_path)
     buffer = io.BytesIO()

@@ -7,13 +7,14 @@ where it jumps from +90 to -90 degrees.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
 
 PARALLEL, REFLEX = HANDS = "parallel", "reflex"  # whose grasps the maps are of; files count them, so new ones come last
 WIDTH_SCALE_PX = 150.0  # the opening, in pixels of the network's image, that the width map calls 1
+Angles = TypeVar("Angles", float, np.ndarray)
 THRESHOLD = 0.2  # lowest quality of a peak where nothing else is configured
 
 
@@ -55,6 +56,11 @@ def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Map
     cos, sin = (gaussian(part, smoothing.angle) for part in output[1:3])
     width = gaussian(output[3], smoothing.width) * np.float32(WIDTH_SCALE_PX)
     return Maps(quality, np.float32(0.5) * np.arctan2(sin, cos), width)
+
+
+def half_turn(angles: Angles) -> Angles:
+    """Returns angles modulo pi in [-pi/2, pi/2): a grasp is the same after half a turn."""
+    return (angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
 
 
 def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:

@@ -1,5 +1,5 @@
-"""The grasps of an image that lift most probably, each with an approach of its own: what the network of lifts chooses,
-without near duplicates."""
+"""The grasps of an image that lift most probably, or that an operator prefers among those that lift, each with an
+approach of its own: what the network of lifts chooses, without near duplicates."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 from common.poses import read_only
 from grasping.network.maps import Peak
-from grasping.pipeline.projection import CameraGrasp, seen_by, turned
+from grasping.pipeline.projection import CameraGrasp, seen_by
 from grasping.poses.chooser import ImageMaps, choose
-from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import Hypotheses, pixels_of, said_of
-from grasping.poses.lift_network import LiftNetwork, lift_logits
+from grasping.poses.hypotheses import pixels_of, turned
+from grasping.poses.lift_network import LiftNetwork
+from grasping.poses.preferred import GraspUncertainty, offer, preferred, uncertainty
+from grasping.poses.taste import PoseTaste
 
 ALIKE_RAD = 0.5  # grasps near each other and turned by less are one
-STAYS = 0.05  # probability by which a new grasp must lead one like it of the image before
 
 
 class LiftGrasp(NamedTuple):
@@ -24,6 +24,8 @@ class LiftGrasp(NamedTuple):
 
     peak: Peak  # in the network's image
     grasp: CameraGrasp  # before the view's camera
+    rank: float  # by which grasps are ordered, 0 to 1: the quality, or the favourite's is 1
+    uncertainty: GraspUncertainty | None  # None without a taste
 
 
 def lift_grasps(
@@ -35,19 +37,19 @@ def lift_grasps(
     threshold: float | None,
     widest: float,
     max_tilt: float,
+    taste: PoseTaste | None = None,
 ) -> list[LiftGrasp]:
     """Returns at most `count` grasps above a probability, best first; None as `threshold`: the best alone. Those within
     `distance` rows and columns differ in direction. `before`: poses, shape (k, 4, 4) [m], and openings, shape (k,) [m],
     of those in the image before, which stay while they are good; `widest`: opening of the hand [m]; `max_tilt` [rad].
     """
-    scored, frame = choose(network, of, widest, max_tilt), of.frame()
+    again = of.hypotheses(*before) if len(before[0]) else None
+    if taste is None:
+        scored = choose(network, of, widest, max_tilt, again)
+    else:
+        offered = offer(network, of, widest, max_tilt, again)
+        scored = preferred(network, of, offered, taste, widest, max_tilt, again)
     T, opening, probability = scored.of.T, scored.of.opening, scored.probability
-    if len(before[0]):
-        again = Hypotheses(*before, said_of(*before, of.maps, of.certainty, of.image, of.camera, frame))
-        kept = 1.0 / (1.0 + np.exp(-lift_logits(network, features(again, of.image, of.camera, frame))))
-        order = np.argsort(-np.concatenate([kept + STAYS, probability]), kind="stable")
-        pairs = (again.T, T), (again.opening, opening), (kept, probability)
-        T, opening, probability = (np.concatenate(pair)[order] for pair in pairs)
     rows, columns, _ = pixels_of(T[:, :3, 3], of.image, of.camera)
     left = probability > (-1.0 if threshold is None else threshold)
     found: list[LiftGrasp] = []
@@ -57,7 +59,8 @@ def lift_grasps(
         width = wide * len(of.image.depth) / of.image.crop.side
         peak = Peak(int(rows[i]), int(columns[i]), float(probability[i]), angle, width)
         grasp = CameraGrasp(read_only(T[i]), angle, float(opening[i]), width, peak.quality, pixel)
-        found.append(LiftGrasp(peak, grasp))
+        about = None if taste is None else uncertainty(taste, offered.options, T[i])
+        found.append(LiftGrasp(peak, grasp, float(scored.rank[i]), about))
         near = np.maximum(np.abs(rows - rows[i]), np.abs(columns - columns[i])) <= distance
         left &= ~(near & (turned(T[:, :3, :3], T[i, :3, :3]) < ALIKE_RAD))
-    return sorted(found, key=lambda one: -one.peak.quality)
+    return sorted(found, key=lambda one: -one.rank)

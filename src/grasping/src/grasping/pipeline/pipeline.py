@@ -1,4 +1,4 @@
-"""From depth images to grasps: view, network, averaging, refinement, maxima, projection, approach, limits, tracking.
+"""From depth images to grasps: view, network, averaging, maxima or a network of lifts, approach, limits, tracking.
 
 One object runs all steps, live and offline; the defaults of `PipelineSettings` are the offline use, without memory and
 limits. Poses are in the camera's optical frame and, where the camera's pose is known, in kuka/base_frame.
@@ -7,7 +7,7 @@ limits. Poses are in the camera's optical frame and, where the camera's pose is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple, Union
 
 import numpy as np
@@ -17,7 +17,7 @@ from common.camera_model import CameraModel
 from common.poses import inverse, read_only
 from grasping.network.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
 from grasping.network.networks import FLOAT32, frozen, infer
-from grasping.pipeline import projection, refined_grasp
+from grasping.pipeline import projection
 from grasping.pipeline.lift_grasps import LiftGrasp, lift_grasps
 from grasping.pipeline.tool_pose import (
     LimitsConfig,
@@ -38,7 +38,8 @@ from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
 from grasping.poses.chooser import ImageMaps
 from grasping.poses.hypotheses import MAX_TILT_RAD
 from grasping.poses.lift_network import LiftNetwork
-from grasping.refinement.preference import Preference
+from grasping.poses.preferred import GraspUncertainty
+from grasping.poses.taste import PoseTaste
 
 NONE_CHOSEN = np.zeros((0, 4, 4)), np.zeros(0)
 OUT_OF_SIGHT = "the best grasp is briefly out of sight"
@@ -69,8 +70,12 @@ class GraspCandidate(NamedTuple):
     grasp: projection.CameraGrasp | None  # before the view's camera; None without a reading or an approach
     normal_missing: bool  # the surface has no clear normal, and the approach is along the axis of the view instead
     rejection: str  # why the grasp is not published, a clause; empty if it is
-    uncertainty: refined_grasp.GraspUncertainty | None = None  # None without a refinement
-    own_approach: bool = False  # a network of lifts chose its approach; the quality is the probability of a lift
+    chosen: LiftGrasp | None = None  # by a network of lifts with its approach; the quality is the probability of a lift
+
+    @property
+    def rank(self) -> float:
+        """By which candidates are ordered, about 0 to 1."""
+        return self.peak.quality if self.chosen is None else self.chosen.rank
 
 
 class GraspProposal(NamedTuple):
@@ -85,8 +90,8 @@ class GraspProposal(NamedTuple):
     pixel: tuple[float, float]  # u, v in the camera's image [px]
     width_px: float  # opening in the camera's image [px]
     peak: Peak  # in the network's image
-    uncertainty: refined_grasp.GraspUncertainty | None  # of the operator's grasp; None without a refinement
-    own_approach: bool  # as of `GraspCandidate`
+    uncertainty: GraspUncertainty | None  # of the operator's grasp; None without a taste
+    own_approach: bool  # a network of lifts chose its approach; the quality is the probability of a lift
 
 
 class PipelineResult(NamedTuple):
@@ -106,9 +111,9 @@ class PipelineResult(NamedTuple):
 
 
 class GraspPipeline:
-    """Finds grasps in single depth images or in a stream of them, with GG-CNN or GG-CNN2 and, if given, what an
-    operator prefers, else what a network says of `lifts`. `clock` returns the time [s] by which the stages are timed;
-    the default times nothing.
+    """Finds grasps in single depth images or in a stream of them, with GG-CNN or GG-CNN2 and, if given, what a network
+    says of `lifts` and, among these, an operator prefers (`taste`). `clock` returns the time [s] by which the stages
+    are timed; the default times nothing.
     """
 
     def __init__(
@@ -116,12 +121,13 @@ class GraspPipeline:
         views: CameraView | TableView,
         network: nn.Module,
         settings: PipelineSettings,
-        refinement: Preference | None = None,
         clock: Callable[[], float] = lambda: 0.0,
         lifts: LiftNetwork | None = None,
+        taste: PoseTaste | None = None,
     ) -> None:
-        self._views, self._settings, self._clock, self._refinement = views, settings, clock, refinement
-        self._lifts = lifts if refinement is None else None
+        if taste is not None and lifts is None:
+            raise ValueError("a taste chooses among the grasps of a network of lifts, and there is none")
+        self._views, self._settings, self._clock, self._lifts, self._taste = views, settings, clock, lifts, taste
         self.network = frozen(network, precision=settings.precision)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
@@ -134,11 +140,11 @@ class GraspPipeline:
             if step is not None:
                 step.reset()
 
-    def refine(self, refinement: Preference) -> None:
+    def prefer(self, taste: PoseTaste) -> None:
         """Prefers from now on what an operator prefers of another kind of object; forgets all images."""
-        if self._refinement is None:
-            raise ValueError("a chain without a refinement cannot take one")
-        self._refinement = refinement
+        if self._taste is None:
+            raise ValueError("a chain without a taste cannot take one")
+        self._taste = taste
         self.reset()
 
     def step(
@@ -172,7 +178,7 @@ class GraspPipeline:
         stages.end("peaks")
         candidates = tuple(self._candidates(found, view, T_base_camera))
         accepted = [c for c in candidates if not c.rejection]
-        seen = [(c.grasp, c.peak.quality) for c in accepted if c.grasp is not None]
+        seen = [(c.grasp, c.rank) for c in accepted if c.grasp is not None]
         T_view = view.T_camera_view
         detections = [GraspDetection(T_track_camera @ (T_view @ g.T_camera_grasp), g.width, q) for g, q in seen]
         grasps = tuple(_proposal(t, accepted[t.detection], camera, T_base_camera) for t in self._track(detections, now))
@@ -185,24 +191,18 @@ class GraspPipeline:
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
     def _peaks(self, output: np.ndarray, view: GraspView, T_track_view: np.ndarray) -> tuple[Maps, Sequence[_Found]]:
-        """Returns the smoothed maps and their peaks, with a refinement those that the operator prefers, with a network
-        of lifts the grasps that lift most probably."""
+        """Returns the smoothed maps and their peaks, with a network of lifts the grasps that it chooses."""
         s = self._settings
-        certainty, widest = np.hypot(output[1], output[2]), np.inf if s.tool is None else s.tool.max_opening
-        if self._lifts is not None:
-            maps = smoothed(output, view.image.valid, refined_grasp.SMOOTHING)
-            of = ImageMaps(view.image, view.camera, maps, certainty)
-            before = inverse(T_track_view) @ self._chosen[0], self._chosen[1]
-            chosen = lift_grasps(self._lifts, of, before, s.count, s.distance, s.threshold, widest, s.max_tilt)
-            T = np.array([one.grasp.T_camera_grasp for one in chosen]).reshape(-1, 4, 4)
-            self._chosen = T_track_view @ T, np.array([one.grasp.width for one in chosen])
-            return maps, chosen
-        if self._refinement is None:
+        if self._lifts is None:
             found = maps_of(output, view, s)
             return found, [highest(found)] if s.threshold is None else peaks(found, s.count, s.distance, s.threshold)
-        maps = maps_of(output, view, replace(s, smoothing=refined_grasp.SMOOTHING))
-        seen = maps, certainty, view.image, view.camera
-        return maps, refined_grasp.refined_peaks(self._refinement, *seen, s.count, s.distance, s.threshold, widest)
+        of = ImageMaps.of_output(view.image, view.camera, output)
+        before, widest = inverse(T_track_view) @ self._chosen[0], np.inf if s.tool is None else s.tool.max_opening
+        how = (before, self._chosen[1]), s.count, s.distance, s.threshold, widest, s.max_tilt
+        chosen = lift_grasps(self._lifts, of, *how, self._taste)
+        T = np.array([one.grasp.T_camera_grasp for one in chosen]).reshape(-1, 4, 4)
+        self._chosen = T_track_view @ T, np.array([one.grasp.width for one in chosen])
+        return of.maps, chosen
 
     def _candidates(
         self, found: Sequence[_Found], view: GraspView, T_base_camera: np.ndarray | None
@@ -211,25 +211,18 @@ class GraspPipeline:
         for one in found:
             if isinstance(one, LiftGrasp):
                 why = self._rejection(one.grasp, view, T_base_camera, waits=True)
-                yield GraspCandidate(one.peak, one.grasp, False, why, own_approach=True)
+                yield GraspCandidate(one.peak, one.grasp, False, why, one)
                 continue
-            refined = one if isinstance(one, refined_grasp.RefinedPeak) else None
-            peak = one.peak if isinstance(one, refined_grasp.RefinedPeak) else one
-            peak = peak._replace(width=max(0.0, peak.width))
+            peak = one._replace(width=max(0.0, one.width))
             on_surface = projection.project_grasp(peak, view.image.crop, side, view.depth, view.camera)
             if on_surface is None:
                 yield GraspCandidate(peak, None, False, "there is no reading near it")
                 continue
-            if refined is None:
-                grasp, normal_missing, why = self._approached(on_surface, view, T_base_camera)
-            else:
-                grasp, normal_missing, why = refined_grasp.refined_grasp(on_surface, refined), False, ""
+            grasp, normal_missing, why = self._approached(on_surface, view, T_base_camera)
             if grasp is None:
                 yield GraspCandidate(peak, None, normal_missing, why)
                 continue
-            why = self._rejection(grasp, view, T_base_camera)
-            uncertainty = None if refined is None else refined.uncertainty
-            yield GraspCandidate(peak, grasp, normal_missing, why, uncertainty)
+            yield GraspCandidate(peak, grasp, normal_missing, self._rejection(grasp, view, T_base_camera))
 
     def _rejection(
         self, grasp: projection.CameraGrasp, view: GraspView, T_base_camera: np.ndarray | None, waits: bool = False
@@ -294,11 +287,12 @@ def _proposal(
     T_camera = tracked.T if T_base_camera is None else read_only(inverse(T_base_camera) @ tracked.T)
     angle, pixel, width_px = projection.seen_by(camera, T_camera, tracked.width)
     peak, seen = candidate.peak, (angle, pixel, width_px)
-    of = candidate.uncertainty, candidate.own_approach
+    chosen = candidate.chosen
+    of = None if chosen is None else chosen.uncertainty, chosen is not None
     return GraspProposal(tracked.id, T_camera, T_base, tracked.width, peak.quality, *seen, peak, *of)
 
 
-_Found = Union[Peak, refined_grasp.RefinedPeak, LiftGrasp]
+_Found = Union[Peak, LiftGrasp]
 
 
 class _StageTimes:

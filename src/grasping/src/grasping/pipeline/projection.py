@@ -107,13 +107,6 @@ def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tu
     return angle, tuple(middle), math.hypot(du, dv) * 0.5 * float(width) / half
 
 
-def turned(R: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Returns by how much grasps are turned against others [rad], shape (...) of orientations, shape (..., 3, 3); half
-    a turn about the approach, which exchanges the fingers, counts as 0."""
-    same = np.einsum("...ji,...ji->...i", R, other)
-    return np.arccos(np.clip(0.5 * (np.abs(same[..., 0] + same[..., 1]) + same[..., 2] - 1.0), -1.0, 1.0))
-
-
 def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
     """Returns the mean of the ten nearest readings between the fingers [m], NaN if fewer; `depth`: (h, w) [m]."""
     between_count = 10

@@ -24,7 +24,7 @@ from grasping.pipeline.projection import ApproachConfig
 from grasping.pipeline.tool_pose import LimitsConfig, ReachConfig, ToolPoseConfig, grasp_in_tool
 from grasping.pipeline.tracking import AveragingConfig, TrackingConfig
 from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableView
-from grasping.refinement.refinement_file import Origin
+from grasping.poses.taste_file import Origin
 
 ANY, LISTED = "any", "listed"
 AUTO, MUST, NEVER = "auto", "must", "never"
@@ -68,7 +68,7 @@ class GgcnnConfig:
     """What stands beside the sections."""
 
     view: str = choice(*VIEWS, doc="the camera's own image, or one from above the table")
-    refine: bool = flag(doc="prefer the grasps that the operator would take, as the refinement learned it")
+    refine: bool = flag(doc="of the grasps that a network of lifts offers, prefer those that the operator would take")
     refinement_weights: str = text(doc="its weight file: a name in the package's folder weights, or an absolute path")
     refinement_kind: str = text(
         doc="kind of object that is grasped, of those in that file; empty: its only one; may be changed while the node "
@@ -85,8 +85,8 @@ class GgcnnConfig:
     max_tilt: float = number("deg", low=0.0, high=45.0, doc="largest tilt of its grasps from straight down")
 
     def faults(self) -> list[str]:
-        both = self.refine and self.lifts == MUST
-        return ["lifts is must, but with refine: true it is not asked."] if both else []
+        without = self.refine and self.lifts == NEVER
+        return ["lifts is never, but refine: true chooses among the grasps of that network."] if without else []
 
 
 @dataclass(frozen=True)
@@ -177,10 +177,11 @@ def rig_configuration(
     }
 
 
-def live_origin(settings: GgcnnSettings, weights: str, robot: str | None) -> Origin:
-    """Returns this rig as a refinement depends on it; `weights`: GGCNN's SHA-256; `robot`: None if unknown."""
+def live_origin(settings: GgcnnSettings, weights: str, robot: str | None, lifts: str) -> Origin:
+    """Returns this rig as a taste depends on it; `weights`, `lifts`: SHA-256 of the files of GGCNN and of the network
+    of lifts; `robot`: None if unknown."""
     found = _network_configuration(grasp_in_tool(settings.tool), settings, weights)
-    return Origin.of({**found, "kuka": {"robot": robot}})
+    return Origin.of({**found, "kuka": {"robot": robot}}, lifts)
 
 
 def _network_configuration(T_tool_grasp: np.ndarray, settings: GgcnnSettings, weights: str) -> dict[str, Any]:

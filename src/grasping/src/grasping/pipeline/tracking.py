@@ -17,7 +17,7 @@ import numpy as np
 from common.config import integer, number
 from common.poses import pose, read_only
 from common.rotations import cross, unit
-from grasping.pipeline.projection import turned
+from grasping.poses.hypotheses import turned
 
 EDGE = np.ones((3, 3), np.uint8)
 

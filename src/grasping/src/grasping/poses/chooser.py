@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from common.camera_model import CameraModel
 from grasping.network.depth_image import NetworkImage
-from grasping.network.maps import Maps
+from grasping.network.maps import Maps, Smoothing, smoothed
+from grasping.poses.candidates import LevelFrame, image_rays, level_frame
 from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, hypotheses, said_of, varied
+from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, hypotheses, joined, said_of, varied
 from grasping.poses.lift_network import LiftNetwork, lift_logits
-from grasping.refinement.candidates import LevelFrame, image_rays, level_frame
+
+SMOOTHING = Smoothing(quality=2.0)
+"""Of the maps: a wider blur would take the grasps on slender parts for bad."""
+STAYS = 0.05  # probability by which a new grasp must lead one of the image before
 
 
 class ScoredPoses(NamedTuple):
-    """Grasps, the most likely lift first."""
+    """Grasps, the best first."""
 
     of: Hypotheses
     probability: np.ndarray  # of a lift, shape (n,)
+    rank: np.ndarray  # by which they are ordered, but those of the image before come earlier, 0 to 1, shape (n,)
 
 
-class ImageMaps(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ImageMaps:
     """An image and what GGCNN says of it."""
 
     image: NetworkImage
@@ -30,29 +38,55 @@ class ImageMaps(NamedTuple):
     maps: Maps  # smoothed
     certainty: np.ndarray  # length of GGCNN's (cos, sin), shape of the maps
 
+    @classmethod
+    def of_output(cls, image: NetworkImage, camera: CameraModel, output: np.ndarray) -> ImageMaps:
+        """`output`: of GGCNN, shape (4, h, w)."""
+        return cls(image, camera, smoothed(output, image.valid, SMOOTHING), np.hypot(output[1], output[2]))
+
+    @cached_property
     def frame(self) -> LevelFrame:
         return level_frame(self.image, image_rays(self.image, self.camera))
 
+    def hypotheses(self, T: np.ndarray, opening: np.ndarray) -> Hypotheses:
+        """Returns grasps with poses, shape (n, 4, 4) [m], and openings, shape (n,) [m]."""
+        return Hypotheses(T, opening, said_of(T, opening, self.maps, self.certainty, self.image, self.camera))
 
-def choose(network: LiftNetwork, of: ImageMaps, most_open: float, max_tilt: float = MAX_TILT_RAD) -> ScoredPoses:
+
+def choose(
+    network: LiftNetwork,
+    of: ImageMaps,
+    most_open: float,
+    max_tilt: float = MAX_TILT_RAD,
+    before: Hypotheses | None = None,
+) -> ScoredPoses:
     """Returns the hypotheses of an image up to a tilt [rad], with the probability that each one lifts; `most_open`:
-    what the hand opens at most [m]. Empty where nothing stands on the table."""
+    what the hand opens at most [m]; `before`: what was chosen in the image before. Empty where nothing stands on the
+    table."""
     elite, each, rounds = 16, 8, 2
-    frame = of.frame()
-    found = hypotheses(of.maps, of.certainty, of.image, of.camera, frame, most_open, TURNS, max_tilt)
+    found = hypotheses(of.maps, of.certainty, of.image, of.camera, of.frame, most_open, TURNS, max_tilt)
     if not len(found.T):
-        return ScoredPoses(found, np.zeros(0))
-    logits = lift_logits(network, features(found, of.image, of.camera, frame))
+        return ScoredPoses(found, np.zeros(0), np.zeros(0))
+    probability = lift_probabilities(network, of, found)
     rng = np.random.default_rng(0)
     for _ in range(rounds):
-        best = found.part(np.argsort(-logits, kind="stable")[:elite])
-        T, opening = varied(best, each, rng, most_open, frame, max_tilt)
-        seen = said_of(T, opening, of.maps, of.certainty, of.image, of.camera, frame)
-        near = Hypotheses(T, opening, seen)
-        found = Hypotheses(*(np.concatenate(pair) for pair in zip(found, near)))
-        logits = np.concatenate([logits, lift_logits(network, features(near, of.image, of.camera, frame))])
-    order = np.argsort(-logits, kind="stable")
-    return ScoredPoses(found.part(order), 1.0 / (1.0 + np.exp(-logits[order])))
+        best = found.part(np.argsort(-probability, kind="stable")[:elite])
+        near = of.hypotheses(*varied(best, each, rng, most_open, of.frame, max_tilt))
+        found = joined(found, near)
+        probability = np.concatenate([probability, lift_probabilities(network, of, near)])
+    lead = np.zeros(len(probability))
+    if before is not None:
+        found = joined(found, before)
+        probability = np.concatenate([probability, lift_probabilities(network, of, before)])
+        lead = np.append(lead, np.full(len(before.T), STAYS))
+    order = np.argsort(-(probability + lead), kind="stable")
+    return ScoredPoses(found.part(order), probability[order], probability[order])
+
+
+def lift_probabilities(network: LiftNetwork, of: ImageMaps, tried: Hypotheses) -> np.ndarray:
+    """Returns the probabilities of lifts, shape (n,)."""
+    logits = lift_logits(network, features(tried, of.image, of.camera, of.frame)).astype(float)
+    found: np.ndarray = 1.0 / (1.0 + np.exp(-logits))
+    return found
 
 
 def tilts(of: Hypotheses, frame: LevelFrame) -> np.ndarray:

@@ -11,8 +11,8 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from grasping.network.depth_image import NetworkImage
+from grasping.poses.candidates import LevelFrame
 from grasping.poses.hypotheses import Hypotheses, pixel_matrix
-from grasping.refinement.candidates import LevelFrame
 
 BETWEEN = (-0.95, -0.65, -0.3, 0.0, 0.3, 0.65, 0.95)  # across, as fractions of half the opening
 BESIDE_M = (0.001, 0.005, 0.012)  # beyond a pad's face: of a finger 8 mm thick and its clearance

@@ -14,7 +14,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from grasping.network.depth_image import NetworkImage
 from grasping.network.maps import Maps
-from grasping.refinement.candidates import LevelFrame, image_rays
+from grasping.poses.candidates import LevelFrame, image_rays
 
 PLACES = 96
 SPACING_PX = 4  # between two places, rows or columns
@@ -60,6 +60,10 @@ class Hypotheses(NamedTuple):
         return Hypotheses(self.T[chosen], self.opening[chosen], self.seen[chosen])
 
 
+def joined(*parts: Hypotheses) -> Hypotheses:
+    return Hypotheses(*(np.concatenate(values) for values in zip(*parts)))
+
+
 def hypotheses(
     maps: Maps,
     certainty: np.ndarray,
@@ -85,7 +89,7 @@ def hypotheses(
     T[:, :3, :3] = upright(R, frame, max_tilt)
     T[:, :3, 3] = np.repeat(points, len(turns), axis=0) - back[:, None] * T[:, :3, 2]
     opening = np.clip(width + wider, MIN_OPENING_M, most_open)
-    return Hypotheses(T, opening, said_of(T, opening, maps, certainty, image, camera, frame))
+    return Hypotheses(T, opening, said_of(T, opening, maps, certainty, image, camera))
 
 
 def places(maps: Maps, image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
@@ -132,7 +136,6 @@ def said_of(
     certainty: np.ndarray,
     image: NetworkImage,
     camera: CameraModel,
-    frame: LevelFrame,
 ) -> np.ndarray:
     """Returns what GGCNN's maps say of grasps in the camera's frame, as `Hypotheses.seen`."""
     rows, columns, scale = pixels_of(T[:, :3, 3], image, camera)
@@ -193,6 +196,13 @@ def upright(R: np.ndarray, frame: LevelFrame, max_tilt: float) -> np.ndarray:
     axis = np.cross(approach, down)
     axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-12)
     return rotations(axis * np.clip(tilt - max_tilt, 0.0, None)[:, None]) @ R
+
+
+def turned(R: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Returns by how much grasps are turned against others [rad], shape (...) of orientations, shape (..., 3, 3); half
+    a turn about the approach, which exchanges the fingers, counts as 0."""
+    same = np.einsum("...ji,...ji->...i", R, other)
+    return np.arccos(np.clip(0.5 * (np.abs(same[..., 0] + same[..., 1]) + same[..., 2] - 1.0), -1.0, 1.0))
 
 
 def rotations(turn: np.ndarray) -> np.ndarray:

@@ -10,15 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
-from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import MAX_TILT_RAD, Hypotheses, said_of, upright, varied
-from grasping.poses.lift_network import LiftNetwork, lift_logits
+from grasping.network.maps import half_turn
+from grasping.poses.chooser import ImageMaps, ScoredPoses, choose, lift_probabilities
+from grasping.poses.hypotheses import MAX_TILT_RAD, Hypotheses, joined, turned, upright, varied
+from grasping.poses.lift_network import LiftNetwork
+from grasping.poses.logit import softmax
 from grasping.poses.taste import Options, PoseTaste, options, poses, styled, worths
-from grasping.refinement.taste import half_turn, softmax
 
 SAFE = 0.97  # probability of a lift that is enough
 MOST_LOST = 0.01  # where the safest grasp has less, another one may have as much less [probability]
+KEPT = 0.4  # by which the score of a new grasp must lead that of one of the image before [nats]
 
 
 class Offer(NamedTuple):
@@ -28,8 +29,23 @@ class Offer(NamedTuple):
     options: Options
 
 
-def offer(network: LiftNetwork, of: ImageMaps, most_open: float, max_tilt: float = MAX_TILT_RAD) -> Offer:
-    return Offer(choose(network, of, most_open, max_tilt), options(network, of, most_open))
+class GraspUncertainty(NamedTuple):
+    """The distribution of the operator's grasp."""
+
+    probability: float  # that the operator grasps here rather than elsewhere, 0 to 1; NaN where GGCNN sees no place
+    pose_sd: np.ndarray  # along x, y, z [m] and about x, y, z [rad] of the grasp's own axes, shape (6,)
+    opening_sd: float  # [m]
+
+
+def offer(
+    network: LiftNetwork,
+    of: ImageMaps,
+    most_open: float,
+    max_tilt: float = MAX_TILT_RAD,
+    before: Hypotheses | None = None,
+) -> Offer:
+    """Returns the offer of an image; arguments as of `choose`."""
+    return Offer(choose(network, of, most_open, max_tilt, before), options(network, of, most_open))
 
 
 def preferred(
@@ -39,40 +55,63 @@ def preferred(
     taste: PoseTaste,
     most_open: float,
     max_tilt: float = MAX_TILT_RAD,
+    before: Hypotheses | None = None,
 ) -> ScoredPoses:
-    """Returns the allowed grasps of an image, the favourite first, with the probability that each one lifts; the safest
-    ones where no grasp is allowed or no episode was shown."""
+    """Returns the allowed grasps of an image, the favourite first, and behind them the safest ones, which stand alone
+    where no grasp is allowed or no episode was shown. `before`: what was chosen in the image before."""
     best, each, scale = 32, 16, 0.5  # options that are looked at, and grasps near each one's
     safest, given = offered
     if not len(safest.probability) or not len(given.base) or not taste.weights.any():
         return safest
-    frame = of.frame()
     appeal = expected(taste, given)
     top = np.argsort(-appeal, kind="stable")[:best]
-    wanted = wanted_poses(taste, given, of, most_open, max_tilt)
-    part = wanted.part(top)
-    T, opening = varied(part, each, np.random.default_rng(0), most_open, frame, max_tilt, scale)
-    near = Hypotheses(T, opening, said_of(T, opening, of.maps, of.certainty, of.image, of.camera, frame))
-    away = 0.5 * distances(np.repeat(part.T, each, axis=0), T, taste) ** 2
-    tried = Hypotheses(*(np.concatenate(pair) for pair in zip(part, near)))
-    score = np.concatenate([appeal[top], np.repeat(appeal[top], each) - away])
-    lifts = 1.0 / (1.0 + np.exp(-lift_logits(network, features(tried, of.image, of.camera, frame))))
-    allowed = lifts >= min(SAFE, safest.probability[0] - MOST_LOST)
-    order = np.argsort(-score, kind="stable")
+    appeal = appeal[top]
+    part = wanted_poses(taste, given, of, most_open, max_tilt).part(top)
+    near = of.hypotheses(*varied(part, each, np.random.default_rng(0), most_open, of.frame, max_tilt, scale))
+    away = distances(np.repeat(part.T, each, axis=0), near.T, taste)
+    tried, score = joined(part, near), np.concatenate([appeal, np.repeat(appeal, each) - 0.5 * away**2])
+    lead = np.zeros(len(score))
+    if before is not None:
+        away = distances(before.T[:, None], part.T, taste)
+        tried = joined(tried, before)
+        score = np.append(score, (appeal - 0.5 * away**2).max(axis=1))
+        lead = np.append(lead, np.full(len(before.T), KEPT))
+    lifts = lift_probabilities(network, of, tried)
+    allowed = lifts >= min(SAFE, safest.probability.max() - MOST_LOST)
+    order = np.argsort(-(score + lead), kind="stable")
     order = order[allowed[order]]
     if not len(order):
         return safest
-    return ScoredPoses(tried.part(order), lifts[order])
+    rank = np.exp(score[order] - score[order].max())
+    lifts, rank = np.append(lifts[order], safest.probability), np.append(rank, rank.min() * safest.rank)
+    return ScoredPoses(joined(tried.part(order), safest.of), lifts, rank)
 
 
 def expected(taste: PoseTaste, given: Options) -> np.ndarray:
     """Returns the logarithm of the operator's choices that are expected at or near each option, shape (n,)."""
-    near_m, near_rad = 0.015, 0.2  # standard deviations within which options are about the same choice
-    of, choice = given.of, softmax(worths(taste.weights, given))
-    off = of.points[None, :, :2] - of.points[:, None, :2]
-    angle = half_turn(of.angles[None] - of.angles[:, None])
-    near = np.exp(-0.5 * ((off**2).sum(axis=-1) / near_m**2 + (angle / near_rad) ** 2))
-    found: np.ndarray = np.log(near @ choice)
+    at = given.of.points, given.of.angles
+    found: np.ndarray = np.log(_near(*at, *at) @ softmax(worths(taste.weights, given)))
+    return found
+
+
+def uncertainty(taste: PoseTaste, given: Options, T_camera_grasp: np.ndarray) -> GraspUncertainty:
+    """Returns the distribution of the operator's grasp about one, shape (4, 4) [m]."""
+    of, probability = given.of, np.nan
+    if len(given.base):
+        T = of.frame.R.T @ T_camera_grasp[:3]
+        angles = of.angles + styled(taste.style, of)[1] - taste.style.line[0]
+        near = _near(T[None, :, 3], np.arctan2(-T[1:2, 0], T[:1, 0]), of.points, angles)
+        probability = min(1.0, float(near[0] @ softmax(worths(taste.weights, given))))
+    place, line, tilt, opening = taste.spreads.tolist()
+    return GraspUncertainty(probability, np.array([place, place, place, tilt, tilt, line]), opening)
+
+
+def _near(points: np.ndarray, angles: np.ndarray, others: np.ndarray, their_angles: np.ndarray) -> np.ndarray:
+    """Returns how much places and lines, n of them, are the same choice as m others, 0 to 1, shape (n, m)."""
+    near_m, near_rad = 0.015, 0.2  # standard deviations within which they are about the same choice
+    off = others[None, :, :2] - points[:, None, :2]
+    angle = half_turn(their_angles[None] - angles[:, None])
+    found: np.ndarray = np.exp(-0.5 * ((off**2).sum(axis=-1) / near_m**2 + (angle / near_rad) ** 2))
     return found
 
 
@@ -86,9 +125,8 @@ def wanted_poses(taste: PoseTaste, given: Options, of: ImageMaps, most_open: flo
 
 
 def distances(T: np.ndarray, other: np.ndarray, taste: PoseTaste) -> np.ndarray:
-    """Returns how far poses are from others, shape (n,), in standard deviations of the operator's grasps."""
+    """Returns how far poses are from others, shape (..., 4, 4), in standard deviations of the operator's grasps."""
     spread, _, tilted, _ = taste.spreads
-    off = np.linalg.norm(T[:, :3, 3] - other[:, :3, 3], axis=1) / spread
-    cosine = 0.5 * (np.einsum("nij,nij->n", T[:, :3, :3], other[:, :3, :3]) - 1.0)
-    found: np.ndarray = np.hypot(off, np.arccos(np.clip(cosine, -1.0, 1.0)) / tilted)
+    off = np.linalg.norm(T[..., :3, 3] - other[..., :3, 3], axis=-1) / spread
+    found: np.ndarray = np.hypot(off, turned(T[..., :3, :3], other[..., :3, :3]) / tilted)
     return found

@@ -13,15 +13,38 @@ from typing import NamedTuple
 
 import numpy as np
 
+from grasping.network.maps import half_turn
+from grasping.poses.candidates import LENGTH_M, TASTES, Candidates, candidates
 from grasping.poses.chooser import ImageMaps
 from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import Hypotheses, level_rotation, rotations, said_of
+from grasping.poses.hypotheses import Hypotheses, level_rotation, rotations
 from grasping.poses.lift_network import LiftNetwork, lift_logits
-from grasping.refinement.candidates import LENGTH_M, TASTES, Candidates, candidates
-from grasping.refinement.taste import WEIGHT_SD, half_turn, maximised, ridge, softmax
+from grasping.poses.logit import maximised, ridge, softmax
 
 QUALITY_WORTH, LIFT_WORTH = 8.0, 0.25  # of an option, before anything is learned
 LARGEST_LOGIT = 4.0
+WEIGHT_SD = {  # prior standard deviations of the weights of `TASTES`
+    "quality": 1.0,
+    "height": 1.0,
+    "below top": 1.0,
+    "opening": 1.3,
+    "along": 1.2,
+    "towards lighter end": 1.2,
+    "aside": 0.8,
+    "from middle": 2.4,
+    "from bulk": 0.6,
+    "thickness": 0.8,
+    "across": 1.0,
+    "right": 0.6,
+    "towards operator": 1.2,
+    "line cos": 1.0,
+    "line sin": 1.0,
+    "rim": 0.9,
+    "certainty": 0.8,
+    "against line": 1.0,
+}
+"""Fitted by empirical Bayes to 20 episodes each of eight randomly drawn simulated operators with ten training families;
+the named operators and the held-out families had no part in it."""
 SD = np.array([*(WEIGHT_SD[name] for name in TASTES), 0.5])
 OTHER_LINE = 0.1  # fraction of the grasps whose line has nothing to do with the option's
 SPREAD_M, SPREAD_RAD = 0.008, 0.15  # expected standard deviations of a grasp about its option, along each axis
@@ -75,14 +98,13 @@ def nobody() -> PoseTaste:
 
 def options(network: LiftNetwork, of: ImageMaps, most_open: float) -> Options:
     """Returns the options of an image; `most_open`: what the hand opens at most [m]."""
-    found = candidates(of.maps, of.certainty, of.image, of.camera)
+    found = candidates(of.maps, of.certainty, of.image, of.camera, of.frame)
     n = len(found.peaks)
     if not n:
         return Options(found, np.zeros((0, len(SD))), np.zeros(0))
     upright = poses(found, np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.clip(found.openings, 0.01, most_open), of)
-    logits = np.clip(
-        lift_logits(network, features(upright, of.image, of.camera, found.frame)), -LARGEST_LOGIT, LARGEST_LOGIT
-    )
+    logits = lift_logits(network, features(upright, of.image, of.camera, found.frame))
+    logits = np.clip(logits, -LARGEST_LOGIT, LARGEST_LOGIT)
     seen = np.column_stack([found.tastes, logits / LARGEST_LOGIT])
     return Options(found, seen, QUALITY_WORTH * found.quality + LIFT_WORTH * logits)
 
@@ -97,7 +119,7 @@ def poses(
     T = np.tile(np.eye(4), (n, 1, 1))
     T[:, :3, :3] = frame.R @ R
     T[:, :3, 3] = (found.points + deep[:, None] * R[:, :, 2]) @ frame.R.T
-    return Hypotheses(T, opening, said_of(T, opening, of.maps, of.certainty, of.image, of.camera, frame))
+    return of.hypotheses(T, opening)
 
 
 def worths(weights: np.ndarray, of: Options) -> np.ndarray:

@@ -8,6 +8,7 @@ camera_target_frame below camera_depth_frame, and, with a view of the table, ggc
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping
 from time import perf_counter
 
 import cv2
@@ -40,8 +41,8 @@ from grasping.pipeline.pipeline import OUT_OF_SIGHT, GraspPipeline, GraspProposa
 from grasping.pipeline.projection import depth_between_fingers
 from grasping.pipeline.settings import NEVER, GgcnnSettings, live_origin, overlaid, sentences, settings_from
 from grasping.pipeline.tool_pose import ASKED, Reachability
-from grasping.refinement.preference import Preference
-from grasping.refinement.refinement_file import of_kind
+from grasping.poses.taste import PoseTaste
+from grasping.poses.taste_file import of_kind
 from grasping.ros import ggcnn_messages as messages
 from grasping.ros.camera_input import DepthImage, DepthStream
 from grasping.ros.pose_lookup import PoseLookup
@@ -75,13 +76,13 @@ class ReasonLog:
 class RefinementKind:
     """The parameter refinement_kind, which may be changed while the node runs."""
 
-    def __init__(self, kinds: dict[str, Preference], kind: str) -> None:
+    def __init__(self, kinds: Mapping[str, PoseTaste], kind: str) -> None:
         self._kinds = kinds
         self._kind = kind
         self._looked = clock.monotonic()
 
-    def changed(self) -> Preference | None:
-        """Returns the preference of another kind than before, None otherwise; one that is not known is logged."""
+    def changed(self) -> PoseTaste | None:
+        """Returns the taste of another kind than before, None otherwise; one that is not known is logged."""
         kind_period_s = 1.0
         if not self._kinds or clock.monotonic() - self._looked < kind_period_s:
             return None
@@ -149,9 +150,9 @@ class GgcnnNode:
         if image.reason:
             self._publish(image.header, [], image.reason)
             return
-        refinement = self._kind.changed()
-        if refinement is not None:
-            self._pipeline.refine(refinement)
+        taste = self._kind.changed()
+        if taste is not None:
+            self._pipeline.prefer(taste)
         started, header = perf_counter(), image.header
         T_base_camera, unknown = self._camera_pose.in_base(header.frame_id, header.stamp)
         found = self._pipeline.step(image.depth, image.camera, T_base_camera, header.stamp.to_sec())
@@ -274,18 +275,25 @@ def _run() -> None:
     torch.set_num_threads(settings.network.threads)
     cv2.setNumThreads(settings.network.threads)
     main = settings.main
-    rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None))
-    kinds = load_refinement(main.refinement_weights, rig) if main.refine else {}
-    refinement = of_kind(kinds, main.refinement_kind) if main.refine else None
-    lifts = None
-    if main.lifts != NEVER and not main.refine:
-        lifts, why = load_lifts(main.lift_weights, main.lifts, settings.tool.hand, loaded.sha256)
-        rospy.loginfo("%s", why or "A network of lifts chooses the grasps, each with an approach of its own.")
+    lifts, lifts_sha256, why = None, "", "lifts is never."
+    if main.lifts != NEVER:
+        lifts, lifts_sha256, why = load_lifts(main.lift_weights, main.lifts, settings.tool.hand, loaded.sha256)
+    kinds: Mapping[str, PoseTaste] = {}
+    if main.refine:
+        if lifts is None:
+            raise RigError(f"refine: true chooses among the grasps of a network of lifts, and there is none. {why}")
+        rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None), lifts_sha256)
+        kinds = load_refinement(main.refinement_weights, rig)
+    taste = of_kind(kinds, main.refinement_kind) if main.refine else None
+    if lifts is None:
+        rospy.loginfo("GG-CNN alone proposes grasps. %s", why)
+    else:
+        rospy.loginfo("A network of lifts chooses the grasps, each with an approach of its own.")
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
         raise RigError(f"The parameter kuka/mounting is not roll, pitch and yaw: {error}.") from None
-    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refinement, perf_counter, lifts)
+    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), perf_counter, lifts, taste)
     file, name, sha256, milliseconds = (
         settings.network.weights,
         loaded.name,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import rospkg
 import yaml
@@ -12,11 +13,10 @@ from common.errors import RigError
 from grasping.network import weights
 from grasping.network.weights import Loaded, WeightsError, checked_sha256, listed_sha256
 from grasping.pipeline.settings import ANY, AUTO, LISTED, NetworkConfig
-from grasping.poses import lift_network
+from grasping.poses import lift_network, taste_file
 from grasping.poses.lift_network import LiftNetwork
-from grasping.refinement import refinement_file
-from grasping.refinement.preference import Preference
-from grasping.refinement.refinement_file import Origin
+from grasping.poses.taste import PoseTaste
+from grasping.poses.taste_file import Origin
 
 SUMS = "SHA256SUMS"
 
@@ -42,8 +42,8 @@ def load_network(config: NetworkConfig) -> Loaded:
     return loaded
 
 
-def load_refinement(name: str, rig: Origin) -> dict[str, Preference]:
-    """Returns the preferences in a weight file by kind of object; one of this package must have the hash in its list.
+def load_refinement(name: str, rig: Origin) -> Mapping[str, PoseTaste]:
+    """Returns the tastes in a weight file by kind of object; one of this package must have the hash in its list.
     Raises RigError if it is missing, has another hash, holds something else, or was not learned on such a rig.
     """
     path = _path(name)
@@ -52,23 +52,31 @@ def load_refinement(name: str, rig: Origin) -> dict[str, Preference]:
             f"No refinement {path}; none comes with the package. Train one on an operator's grasps with "
             "train_refinement.py and set refinement_weights to its weights.pt."
         )
-    found, origin = refinement_file.load(_content(path), None if name.startswith("/") else _listed(path))
+    kinds, origin = taste_file.load(_content(path), None if name.startswith("/") else _listed(path))
     mismatch = origin.mismatch(rig)
     if mismatch:
         raise WeightsError(f"The refinement in {path} {mismatch}.")
-    return found
+    return kinds
 
 
-def load_lifts(name: str, wanted: str, hand: str, ggcnn: str) -> tuple[LiftNetwork | None, str]:
+class LoadedLifts(NamedTuple):
+    """A network of lifts, or why there is none."""
+
+    network: LiftNetwork | None
+    sha256: str  # of its file, hexadecimal
+    why: str  # there is none, a sentence
+
+
+def load_lifts(name: str, wanted: str, hand: str, ggcnn: str) -> LoadedLifts:
     """Returns the network of lifts in a weight file, checked as that of `load_refinement`; `name`: of the file, empty:
     the hand's own; `ggcnn`: SHA-256 of GG-CNN's file. If the file is missing or made for another hand or GG-CNN, raises
-    RigError, but returns None and why if `wanted` is AUTO.
+    RigError, but returns why if `wanted` is AUTO.
     """
     name = name or f"lifts_{hand}.pt"
     path = _path(name)
     try:
         data = _content(path)
-        checked_sha256(data, None if name.startswith("/") else _listed(path))
+        sha256 = checked_sha256(data, None if name.startswith("/") else _listed(path))
         found = lift_network.loaded(data)
         if (found.hand, found.ggcnn) != (hand, ggcnn):
             made_for, here = f"{found.hand} and the GG-CNN {found.ggcnn[:12]}", f"{hand} and {ggcnn[:12]}"
@@ -76,8 +84,8 @@ def load_lifts(name: str, wanted: str, hand: str, ggcnn: str) -> tuple[LiftNetwo
     except RigError as error:
         if wanted != AUTO:
             raise
-        return None, f"GG-CNN alone proposes grasps. {error}"
-    return found, ""
+        return LoadedLifts(None, "", str(error))
+    return LoadedLifts(found, sha256, "")
 
 
 def _listed(path: Path) -> str:

@@ -24,8 +24,7 @@ from common.plausible import plausible_depth
 from common.ros.files import read_text, write_whole
 from grasping.lab.synthetic.samples import Sample
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.network.maps import WIDTH_SCALE_PX, Peak
-from grasping.refinement.taste import half_turn
+from grasping.network.maps import WIDTH_SCALE_PX, Peak, half_turn
 
 SCHEMA = 1
 SUFFIX = ".grasps.json"

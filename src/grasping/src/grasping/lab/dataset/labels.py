@@ -21,8 +21,8 @@ from common.camera_model import CameraModel
 from common.poses import read_only
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.network.depth_image import NETWORK_SIDE, Crop
+from grasping.network.maps import half_turn
 from grasping.pipeline.projection import CameraGrasp, project_grasp
-from grasping.refinement.taste import half_turn
 
 
 class RelativeLabel(NamedTuple):

@@ -14,9 +14,9 @@ import numpy as np
 from common.camera_model import CameraModel
 from grasping.lab.synthetic.labels import Gripper
 from grasping.network.depth_image import NetworkImage
+from grasping.poses.candidates import LevelFrame, image_rays
 from grasping.poses.chooser import ImageMaps
 from grasping.poses.hypotheses import OBJECT_M, upright
-from grasping.refinement.candidates import LevelFrame, image_rays
 
 SAMPLES, TURNS = 150, 8
 DEPTHS_M = (0.0, 0.008, 0.016, 0.024)  # of the tips below the sampled point
@@ -28,7 +28,7 @@ def antipodal_grasp(
 ) -> tuple[np.ndarray, float, float] | None:
     """Returns T_camera_grasp, shape (4, 4) [m], the opening [m] and how many points the weaker side has; None where
     the hand finds no place with points on both sides."""
-    frame = of.frame()
+    frame = of.frame
     points, normals = cloud(of.image, of.camera, frame)
     if not len(points):
         return None

@@ -95,7 +95,7 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
 def _chosen(task: PoseTrialTask, seen: SceneView, of: ImageMaps) -> dict[str, ChosenPose | None]:
     peak = maps.highest(of.maps)
     where = _projected(of, peak, seen)
-    above = None if where is None else along(where, of.frame().R[:, 2], of.camera)
+    above = None if where is None else along(where, of.frame.R[:, 2], of.camera)
     found = {ALONE: _pose(where, peak), ABOVE: _pose(above, peak)}
     opposed = antipodal_grasp(of, GRIPPER, MAX_TILT_RAD, np.random.default_rng(task.number))
     found[CLOUD] = None if opposed is None else ChosenPose(*opposed)

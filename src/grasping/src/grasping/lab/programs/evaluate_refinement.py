@@ -39,7 +39,6 @@ from grasping.lab.programs.train_refinement import Named
 from grasping.lab.synthetic import simulated_operator
 from grasping.lab.synthetic.samples import GRIPPER
 from grasping.lab.training import lift_examples
-from grasping.lab.training import refinement_examples as examples
 from grasping.poses import taste
 from grasping.poses.chooser import ImageMaps
 from grasping.poses.lift_network import LiftNetwork, loaded
@@ -135,7 +134,7 @@ def rows(group: Group, offers: Offers, counts: Sequence[int], lift: bool) -> Ite
     lessons = []
     for named in group.few:
         found = offers.of(named)
-        lessons.append(None if found is None else examples.shown(named.episode, found[1].options))
+        lessons.append(None if found is None else lift_examples.shown(named.episode, found[1].options))
     tastes = {n: taste.learned([one for one in lessons[:n] if one is not None]) for n in counts}
     for named in group.test:
         yield from _rows(group, named, offers, tastes, lift)

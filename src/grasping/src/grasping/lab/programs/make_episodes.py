@@ -1,7 +1,6 @@
 """Makes episodes of simulated operators' grasps, in the file format of `collect.launch`; resumable.
 
-Each operator gets a folder. `anybody` takes eight candidates a scene, half of them with any tilt and turn: these
-episodes teach what is lifted.
+Each operator gets a folder.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.programs.make_dataset import ignore_warning, make_all
 from grasping.lab.synthetic import samples, simulated_operator
-from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
+from grasping.lab.synthetic.simulated_operator import OPERATORS
 from grasping.network import weights
 from grasping.network.networks import MapNetwork, frozen
 
 SPLITS = tuple(name for name in samples.SPLITS if name.startswith(("person", "kind_")))
-ALL, ANYBODY = "all", "anybody"
+ALL = "all"
 
 
 class EpisodeTask(NamedTuple):
@@ -69,8 +68,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="where the episodes go")
     parser.add_argument("weights", type=Path, help="weight file of GGCNN")
     parser.add_argument("--split", choices=SPLITS, default="person", help="known or held-out things, or one kind")
-    operators = (*OPERATORS, ANYBODY, ALL)
-    parser.add_argument("--operator", choices=operators, default="high", help="who grasps; all: each but anybody")
+    parser.add_argument("--operator", choices=(*OPERATORS, ALL), default="high", help="who grasps")
     parser.add_argument("--first", type=whole(0, 10**9), default=0, help="number of the first scene")
     parser.add_argument(
         "--episodes", type=whole(1, 10**9), default=400, help="how many scenes; where nothing holds, none is made"
@@ -82,7 +80,7 @@ def main() -> None:
         network(arguments.weights)
     except (OSError, RigError) as error:
         parser.error(str(error))
-    who = {ALL: tuple(OPERATORS), ANYBODY: ANYBODIES}.get(arguments.operator, (arguments.operator,))
+    who = tuple(OPERATORS) if arguments.operator == ALL else (arguments.operator,)
     numbers = range(arguments.first, arguments.first + arguments.episodes)
     about = (arguments.frames, who)
     tasks = [EpisodeTask(arguments.folder, arguments.weights, arguments.split, n, *about) for n in numbers]

@@ -26,9 +26,9 @@ from grasping.lab.programs.train_refinement import read_episodes
 from grasping.lab.training.lift_examples import attempt
 from grasping.network.depth_image import NetworkImage
 from grasping.poses import hand_view
+from grasping.poses.candidates import image_rays, level_frame
 from grasping.poses.hypotheses import Hypotheses
 from grasping.poses.lift_network import LiftNetwork, saved
-from grasping.refinement.candidates import image_rays, level_frame
 
 
 class LiftData(NamedTuple):

@@ -1,10 +1,7 @@
-"""Learns from episodes of an operator's grasps which ones the operator prefers, and what is lifted; takes seconds.
+"""Learns from episodes of an operator's grasps which of those that a network of lifts offers the operator prefers.
 
 The folder of the run gets weights.pt, for `refinement_weights` in ggcnn.yaml, and settings.json, which says what was
-learned. Each kind of object is learned from its own episodes; the file holds all kinds. With --lifts it is a taste of
-full poses, among what that network says is lifted; the node does not take such a file yet. Without, what is lifted is
-learned from the outcomes of all grasps that were at a candidate, of these episodes and of those in --outcomes; if they
-are too few, nothing is known of lifts and nothing constrains the operator's taste.
+learned. Each kind of object is learned from its own episodes; the file holds all kinds. It takes seconds.
 """
 
 from __future__ import annotations
@@ -13,7 +10,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,19 +22,12 @@ from grasping.lab.dataset import store
 from grasping.lab.dataset.episode import Episode
 from grasping.lab.synthetic.samples import GRIPPER
 from grasping.lab.training import lift_examples
-from grasping.lab.training import refinement_examples as examples
 from grasping.network.depth_image import VIEWS
 from grasping.network.weights import checked_sha256
-from grasping.poses import taste as poses_taste
-from grasping.poses import taste_file
+from grasping.poses.candidates import TASTES
 from grasping.poses.lift_network import LiftNetwork, loaded
-from grasping.poses.taste import options
-from grasping.poses.taste_file import TasteFile
-from grasping.refinement import taste
-from grasping.refinement.candidates import TASTES
-from grasping.refinement.preference import Preference
-from grasping.refinement.refinement_file import ANY_KIND, Origin, content
-from grasping.refinement.taste import Choice
+from grasping.poses.taste import PoseTaste, learned, options
+from grasping.poses.taste_file import ANY_KIND, Origin, TasteFile, content
 
 
 class Named(NamedTuple):
@@ -49,13 +39,6 @@ class Named(NamedTuple):
     @property
     def objects(self) -> set[str]:
         return {thing.strip() for thing in self.episode.metadata.object.split(",") if thing.strip()}
-
-
-class Lesson(NamedTuple):
-    """What an episode teaches."""
-
-    choice: Choice  # in its last frame
-    outcome: examples.Outcome | None  # of that grasp
 
 
 def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) -> list[Named]:
@@ -106,53 +89,18 @@ def origin_of(named: list[Named], mixed: bool = False) -> Origin:
     return Origin(**{**first, **dict.fromkeys(differing)})
 
 
-def lesson(episode: Episode) -> Lesson | None:
-    """Returns what an episode teaches; None where the camera saw nothing or the grasp was outside its view."""
-    frame = episode.frame(len(episode) - 1)
-    of = examples.seen(frame)
-    choice = None if of is None else examples.choice(frame, of)
-    return None if choice is None else Lesson(choice, examples.outcome(choice, episode.held))
-
-
-def lessons(named: Iterable[Named]) -> list[Lesson]:
-    found = (lesson(n.episode) for n in named)
-    return [one for one in found if one is not None]
-
-
-def tastes_by_kind(kinds: Mapping[str, Iterable[Named]], network: LiftNetwork) -> dict[str, poses_taste.PoseTaste]:
-    """Returns of each kind the taste that its episodes teach. Raises RigError if there is no such episode."""
+def learned_by_kind(kinds: Mapping[str, Iterable[Named]], network: LiftNetwork) -> dict[str, tuple[PoseTaste, int]]:
+    """Returns of each kind the taste that its episodes teach, and how many do. Raises RigError if none does."""
     found = {}
     for name, named in kinds.items():
         shown = []
         for one in named:
             of = lift_examples.image_maps(one.episode.frame(len(one.episode) - 1))
-            grasp = None if of is None else examples.shown(one.episode, options(network, of, GRIPPER.opening))
+            grasp = None if of is None else lift_examples.shown(one.episode, options(network, of, GRIPPER.opening))
             shown += [] if grasp is None else [grasp]
         if not shown:
             raise RigError(f"In none of the episodes of {name} the camera sees the operator's grasp.")
-        found[name] = poses_taste.learned(shown)
-    return found
-
-
-def preference(of: Iterable[Lesson], outcomes: Iterable[Lesson] = ()) -> Preference:
-    """Returns the operator's preference; `outcomes`: of others."""
-    own = list(of)
-    rows = [one.outcome for one in (*own, *outcomes) if one.outcome is not None]
-    return Preference(taste.learned([one.choice for one in own]), examples.lift_model(rows))
-
-
-def learned_by_kind(
-    kinds: Mapping[str, Iterable[Named]], outcomes: Iterable[Named] = ()
-) -> dict[str, tuple[Preference, int]]:
-    """Returns of each kind what its episodes teach, and how many do; `outcomes`: of others. Raises RigError if there is
-    no such episode.
-    """
-    others, found = lessons(outcomes), {}
-    for name, named in kinds.items():
-        own = lessons(named)
-        if not own:
-            raise RigError(f"In none of the episodes of {name} the camera sees the operator's grasp.")
-        found[name] = preference(own, others), len(own)
+        found[name] = learned(shown), len(shown)
     return found
 
 
@@ -160,8 +108,8 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the operator's episodes")
     parser.add_argument("run", type=Path, help="where the results go")
-    parser.add_argument("--outcomes", type=Path, help="folder of episodes by anybody, for what is lifted")
-    parser.add_argument("--lifts", type=Path, help="weights of the network of lifts: learn a taste of full poses")
+    lifts_help = "weights of the network of lifts that the node will use"
+    parser.add_argument("--lifts", type=Path, required=True, help=lifts_help)
     parser.add_argument("--only", action="append", default=[], metavar="OBJECT", help="learn these kinds alone")
     parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="learn from none of these")
     pooled_help = "learn from all kinds together, for a node that is not told the kind"
@@ -170,8 +118,15 @@ def parse() -> argparse.Namespace:
     arguments = parser.parse_args()
     try:
         arguments.named = read_episodes(arguments.data, arguments.only, arguments.without)
-        arguments.others = [] if arguments.outcomes is None else read_episodes(arguments.outcomes)
-        arguments.origin = origin_of([*arguments.named, *arguments.others], arguments.mixed)
+        data = arguments.lifts.read_bytes()
+        network = loaded(data)
+        origin = origin_of(arguments.named, arguments.mixed)
+        if origin.network is not None and origin.network != network.ggcnn:
+            raise RigError(
+                f"The network of lifts in {arguments.lifts} was made for the GG-CNN {network.ggcnn[:12]}, but the "
+                f"episodes are of {origin.network[:12]}."
+            )
+        arguments.origin = replace(origin, lifts=checked_sha256(data, None))
         kinds = {ANY_KIND: arguments.named} if arguments.pooled else by_kind(arguments.named, arguments.only)
         if not kinds:
             raise RigError(f"The episodes in {arguments.data} name no kind of object: learn with --pooled.")
@@ -179,40 +134,35 @@ def parse() -> argparse.Namespace:
         if missing:
             raise RigError(f"{arguments.data} holds no episode of {missing[0]}: collect some, or leave it out.")
         arguments.run.mkdir(parents=True, exist_ok=True)
-        if arguments.lifts is not None:
-            data = arguments.lifts.read_bytes()
-            tastes = tastes_by_kind(kinds, loaded(data))
-            arguments.tastes = TasteFile(tastes, arguments.origin, checked_sha256(data, None))
-        else:
-            arguments.learned = learned_by_kind(kinds, arguments.others)
+        arguments.learned = learned_by_kind(kinds, network)
     except (RigError, OSError) as error:
         parser.error(str(error))
     return arguments
 
 
-def summary(known: Preference, count: int) -> dict[str, object]:
+def summary(known: PoseTaste, count: int) -> dict[str, object]:
     """Returns what was learned of a kind, for people."""
-    of, hand = known.taste, known.taste.hand
+    style, (place, line, tilt, opening) = known.style, known.spreads.tolist()
     return {
         "episodes": count,
-        "liked": {name: round(float(w), 2) for name, w in zip(TASTES, of.weights)},
-        "miss_mm": (1000.0 * of.miss).round(1).tolist(),
-        "spread_mm": round(1000.0 * of.spread, 1),
-        "line_rad": hand.line.round(3).tolist(),
-        "tilt_x_rad": hand.tilt_x.round(3).tolist(),
-        "tilt_y_rad": hand.tilt_y.round(3).tolist(),
-        "wider_mm": (1000.0 * hand.opening).round(1).tolist(),
-        "constrained": known.lifts is not None,
+        "liked": {name: round(float(w), 2) for name, w in zip((*TASTES, "lift"), known.weights)},
+        "miss_mm": (1000.0 * known.miss).round(1).tolist(),
+        "line_rad": style.line.round(3).tolist(),
+        "tilt_x_rad": style.tilt_x.round(3).tolist(),
+        "tilt_y_rad": style.tilt_y.round(3).tolist(),
+        "deeper_mm": (1000.0 * style.deep).round(1).tolist(),
+        "wider_mm": (1000.0 * style.wider).round(1).tolist(),
+        "spread_mm": round(1000.0 * place, 1),
+        "spread_line_rad": round(line, 3),
+        "spread_tilt_rad": round(tilt, 3),
+        "spread_opening_mm": round(1000.0 * opening, 1),
     }
 
 
 def main() -> None:
     arguments = parse()
-    if arguments.lifts is not None:
-        torch.save(taste_file.content(arguments.tastes), arguments.run / "weights.pt")
-        return
     kinds = {name: known for name, (known, _) in arguments.learned.items()}
-    torch.save(content(kinds, arguments.origin), arguments.run / "weights.pt")
+    torch.save(content(TasteFile(kinds, arguments.origin)), arguments.run / "weights.pt")
     said = {name: summary(*of) for name, of in arguments.learned.items()}
     text = json.dumps({"kinds": said, **asdict(arguments.origin)}, indent=2)
     (arguments.run / "settings.json").write_text(text + "\n", encoding="utf-8")

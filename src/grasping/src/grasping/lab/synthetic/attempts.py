@@ -16,15 +16,12 @@ from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.pose_labels import meant
 from grasping.lab.synthetic.samples import GRIPPER, GRIPPERS, SPLITS, SceneView, view
 from grasping.lab.synthetic.scene import HeapScene
-from grasping.network import maps
 from grasping.network.depth_image import NetworkImage, prepare
 from grasping.network.maps import PARALLEL
 from grasping.network.networks import MapNetwork, infer
 from grasping.poses.chooser import ImageMaps, choose
-from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, Turn, hypotheses, said_of, varied
+from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, Turn, hypotheses, joined, varied
 from grasping.poses.lift_network import LiftNetwork
-
-SMOOTHING = maps.Smoothing(quality=2.0)
 
 
 class Attempts(NamedTuple):
@@ -41,10 +38,7 @@ class Attempts(NamedTuple):
 def image_maps(seen: SceneView, network: MapNetwork) -> ImageMaps:
     """Returns the network's image of a scene and GGCNN's maps."""
     image = prepare(seen.observed, trials.CROP)
-    output = infer(network, image.input)
-    return ImageMaps(
-        image, trials.camera(), maps.smoothed(output, image.valid, SMOOTHING), np.hypot(output[1], output[2])
-    )
+    return ImageMaps.of_output(image, trials.camera(), infer(network, image.input))
 
 
 def attempts(
@@ -87,7 +81,7 @@ def _believed(rng: np.random.Generator, of: ImageMaps, most: int, lifts: LiftNet
 
 
 def _drawn(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int, gripper: Gripper) -> Hypotheses:
-    tries, most_open, frame = 40, gripper.opening, of.frame()
+    tries, most_open, frame = 40, gripper.opening, of.frame
     at = of.maps, of.certainty, of.image, of.camera, frame, most_open
     usual = hypotheses(*at, TURNS)
     random = [Turn(*rng.uniform((-1.6, -0.6, -0.6, -0.01, -0.01), (1.6, 0.6, 0.6, 0.03, 0.02))) for _ in range(8)]
@@ -105,10 +99,9 @@ def _drawn(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int, 
     if exact:
         T = np.array([T_camera_world @ one.T_world_grasp for one in exact[: most // 4]])
         opening = np.array([one.opening for one in exact[: most // 4]])
-        parts.append(Hypotheses(T, opening, said_of(T, opening, *at[:5])))
-    found = Hypotheses(*(np.concatenate(part) for part in zip(*parts))) if parts else usual
+        parts.append(of.hypotheses(T, opening))
+    found = joined(*parts) if parts else usual
     if len(found.T):
-        T, opening = varied(found.part(rng.integers(len(found.T), size=most - len(found.T))), 1, rng, most_open, frame)
-        near = Hypotheses(T, opening, said_of(T, opening, *at[:5]))
-        found = Hypotheses(*(np.concatenate(pair) for pair in zip(found, near)))
+        near = varied(found.part(rng.integers(len(found.T), size=most - len(found.T))), 1, rng, most_open, frame)
+        found = joined(found, of.hypotheses(*near))
     return found

@@ -17,7 +17,6 @@ import numpy as np
 import pinocchio as pin
 
 from common.poses import inverse, pose, read_only
-from common.rotations import rotation_about
 from grasping.lab.dataset.episode import TELEOPERATION, Episode, Metadata, angles_of_opening
 from grasping.lab.evaluation import trials
 from grasping.lab.evaluation.lifting import lift
@@ -27,12 +26,9 @@ from grasping.network import depth_image, maps
 from grasping.network.depth_image import CAMERA
 from grasping.network.maps import gaussian
 from grasping.network.networks import MapNetwork, infer
-from grasping.refinement.candidates import candidates
 
 DOWN = np.array([0.0, 0.0, -1.0])
 SMOOTHING = maps.Smoothing(quality=2.0)
-ANYBODY = "anybody_"  # who grasp anything, with a number behind
-ANYBODIES = tuple(f"{ANYBODY}{i}" for i in range(8))
 NAME = re.compile(r"simulated_(\w+)_(\d+)")
 
 
@@ -275,8 +271,6 @@ def situation(split: str, number: int) -> EpisodeScene:
 def meant(of: EpisodeScene, made: Episode) -> np.ndarray:
     """Returns what the operator of an episode meant, T_base_grasp, shape (4, 4) [m]: no miss and no tremor."""
     person = made.metadata.configuration["person"]
-    if person is None:
-        return made.T_base_grasp
     found = choose(of, SimulatedOperator(**{**person, "bias": tuple(person["bias"])}), steady=True)
     assert found is not None, "an episode is of a grasp"
     return found.T_base_grasp
@@ -319,11 +313,10 @@ def episodes(
             stored[key].append(value)
     stamp = frame_s * np.arange(frames)
     for name in operators:
-        anybody = name.startswith(ANYBODY)
-        chosen = anything(of, image, output, int(name[-1])) if anybody else choose(of, OPERATORS[name])
+        chosen = choose(of, OPERATORS[name])
         if chosen is None:
             continue
-        lifted = held(of, chosen.T_base_grasp, GRIPPER.opening if anybody else chosen.opening)
+        lifted = held(of, chosen.T_base_grasp, chosen.opening)
         yield (
             name,
             Episode(
@@ -349,24 +342,6 @@ def episodes(
         )
 
 
-def anything(of: EpisodeScene, image: depth_image.NetworkImage, output: np.ndarray, which: int) -> Chosen | None:
-    """Returns any candidate in the image, tilted and turned anyhow if `which` is odd; GGCNN's best one for 0; None
-    if the image has no candidate.
-    """
-    any_tilt_rad = 0.15  # standard deviations, about each axis, of these grasps
-    any_turn_rad = 0.12
-    seen = maps.smoothed(output, image.valid, SMOOTHING)
-    found = candidates(seen, np.hypot(output[1], output[2]), image, trials.camera())
-    if not found.peaks:
-        return None
-    rng = np.random.default_rng([95, of.number, which])
-    i = int(rng.integers(len(found.peaks))) if which else 0
-    tilt, turn = which % 2 * rng.normal(0.0, any_tilt_rad, 2), which % 2 * rng.normal(0.0, any_turn_rad)
-    R = found.frame.R @ pin.exp3(np.append(tilt, 0.0)) @ rotation_about(2, -(found.angles[i] + turn))
-    opening = float(np.clip(found.openings[i], 0.02, GRIPPER.opening))
-    return Chosen(camera_pose(of) @ pose(R, found.frame.R @ found.points[i]), opening)
-
-
 def _metadata(of: EpisodeScene, name: str, lifted: bool, network_sha256: str) -> Metadata:
     settings_version = 3
     return Metadata(
@@ -379,7 +354,7 @@ def _metadata(of: EpisodeScene, name: str, lifted: bool, network_sha256: str) ->
         reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
         configuration={
             "simulated": settings_version,
-            "person": None if name.startswith(ANYBODY) else OPERATORS[name]._asdict(),
+            "person": OPERATORS[name]._asdict(),
             "view": CAMERA,
             "crop": {"side": trials.CROP.side, "rows_up": 0},
             "table": None,

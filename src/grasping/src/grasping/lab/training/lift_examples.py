@@ -1,4 +1,4 @@
-"""What a network of lifts learns from episodes: each closing of the fingers was an attempt."""
+"""What episodes teach: a network of lifts, by each closing of the fingers, and a taste, by the operator's choice."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import cv2
 import numpy as np
 
 from grasping.lab.dataset.episode import SHOWN, Episode, EpisodeFrame
-from grasping.lab.dataset.labels import windowed
+from grasping.lab.dataset.labels import tilt_and_angle, windowed
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.network.maps import smoothed
-from grasping.pipeline.refined_grasp import SMOOTHING
 from grasping.poses.chooser import ImageMaps
 from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import Hypotheses, pixels_of, said_of
+from grasping.poses.hypotheses import pixels_of
+from grasping.poses.taste import Options, Shown
 
 
 def image_maps(frame: EpisodeFrame) -> ImageMaps | None:
@@ -22,8 +21,7 @@ def image_maps(frame: EpisodeFrame) -> ImageMaps | None:
     except ValueError:
         return None
     output = np.stack([cv2.resize(m.astype(np.float32), (NETWORK_SIDE, NETWORK_SIDE)) for m in frame.maps])
-    maps = smoothed(output, image.valid, SMOOTHING)
-    return ImageMaps(image, windowed(frame.camera, frame.crop), maps, np.hypot(output[1], output[2]))
+    return ImageMaps.of_output(image, windowed(frame.camera, frame.crop), output)
 
 
 def attempt(episode: Episode, ggcnn: str) -> tuple[np.ndarray, bool] | None:
@@ -38,6 +36,18 @@ def attempt(episode: Episode, ggcnn: str) -> tuple[np.ndarray, bool] | None:
         return None
     rows, columns, scale = pixels_of(T[:, :3, 3], of.image, of.camera)
     opening = np.where(np.isnan(frame.opening), of.maps.width[rows, columns] * scale, frame.opening)
-    level = of.frame()
-    seen = said_of(T, opening, of.maps, of.certainty, of.image, of.camera, level)
-    return features(Hypotheses(T, opening, seen), of.image, of.camera, level)[0], episode.held
+    return features(of.hypotheses(T, opening), of.image, of.camera, of.frame)[0], episode.held
+
+
+def shown(episode: Episode, given: Options) -> Shown | None:
+    """Returns the operator's grasp among the options of an episode's last frame; None where the camera cannot see it
+    or it comes straight towards the camera."""
+    frame = episode.frame(len(episode) - 1)
+    T, R = frame.T_camera_grasp, given.of.frame.R
+    if T[2, 3] <= 0.0:
+        return None
+    try:
+        tilt, angle = tilt_and_angle(R.T @ T[:3, :3])
+    except ValueError:
+        return None
+    return Shown(given, R.T @ T[:3, 3], angle, tilt, frame.opening)

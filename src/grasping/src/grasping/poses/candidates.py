@@ -1,4 +1,4 @@
-"""The places of an image that can be grasped, and what can be seen of each: what taste and lifts are judged by.
+"""The places of an image that can be grasped, and what can be seen of each, by which an operator may choose.
 
 The level frame: origin in the camera's optical centre, z down across the table, x the image's x axis laid into it, y
 towards who stands below the image. Features are in an object's own axes where it has some: its long axis, its middle,
@@ -18,7 +18,7 @@ from common.camera_model import CameraModel
 from common.poses import read_only
 from common.rotations import cross, unit
 from grasping.network.depth_image import EVERY, NOISE, Crop, NetworkImage, best_plane
-from grasping.network.maps import Maps, Peak, gaussian, peaks
+from grasping.network.maps import Maps, Peak, gaussian, half_turn, peaks
 
 OTHER_LINES = (0.25 * np.pi, 0.5 * np.pi, -0.25 * np.pi)  # turned from that line [rad]
 LENGTH_M = 0.05  # makes lengths about 1
@@ -43,23 +43,6 @@ TASTES = (
     "certainty",  # of GGCNN's line
     "against line",  # how far a line is from GGCNN's, as far as that one is certain
 )
-LIFTS = (
-    "quality",
-    "certainty",
-    "height",
-    "below top",
-    "opening",
-    "from middle",
-    "along",
-    "aside",
-    "thickness",
-    "rim",
-    "across",
-    "hollow",  # how much higher the surroundings are
-    "flat",  # how low the whole object is
-    "other line",  # 1 where the line is not GGCNN's, else 0
-    "against line",
-)
 
 
 class LevelFrame(NamedTuple):
@@ -79,7 +62,6 @@ class Candidates(NamedTuple):
     openings: np.ndarray  # shape (n,) [m]
     slopes: np.ndarray  # of the surface, down by x and y, an edge being none, shape (n, 2)
     tastes: np.ndarray  # shape (n, len(TASTES)), about 1
-    lifts: np.ndarray  # shape (n, len(LIFTS)), about 1
 
     @property
     def quality(self) -> np.ndarray:
@@ -92,7 +74,9 @@ class Candidates(NamedTuple):
         return self.frame.distance - self.points[:, 2]
 
 
-def candidates(maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: CameraModel) -> Candidates:
+def candidates(
+    maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: CameraModel, frame: LevelFrame
+) -> Candidates:
     """Returns the candidates of smoothed maps; `certainty`: length of GGCNN's (cos, sin), shape of the maps."""
     ambiguous = 0.7  # where GGCNN is less certain of its line, others are candidates as well
     found = covering(maps)
@@ -102,13 +86,12 @@ def candidates(maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: C
             found += [_turned(peak, turn) for turn in OTHER_LINES]
             turns = np.append(turns, OTHER_LINES)
     order = np.argsort([-p.quality for p in found], kind="stable")
-    return described([found[i] for i in order], turns[order], certainty, image, camera)
+    return described([found[i] for i in order], turns[order], certainty, image, camera, frame)
 
 
 def _turned(peak: Peak, turn: float) -> Peak:
     other_quality = 0.8  # of the candidates on other lines, as a fraction of that on GGCNN's line
-    angle = (peak.angle + turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi
-    return peak._replace(angle=angle, quality=other_quality * peak.quality)
+    return peak._replace(angle=half_turn(peak.angle + turn), quality=other_quality * peak.quality)
 
 
 def covering(maps: Maps) -> list[Peak]:
@@ -181,7 +164,12 @@ class _Object(NamedTuple):
 
 
 def described(
-    grasps: Sequence[Peak], turns: np.ndarray, certainty: np.ndarray, image: NetworkImage, camera: CameraModel
+    grasps: Sequence[Peak],
+    turns: np.ndarray,
+    certainty: np.ndarray,
+    image: NetworkImage,
+    camera: CameraModel,
+    frame: LevelFrame,
 ) -> Candidates:
     """Returns grasps with what can be seen of them; `turns`: of their lines from GGCNN's, shape (n,) [rad]."""
     object_m = 0.008  # what stands out of the table by more is an object
@@ -190,7 +178,6 @@ def described(
     lowest_m = -0.01  # heights beyond are holes badly filled, or the arm
     highest_m = 0.25
     rays = image_rays(image, camera)
-    frame = level_frame(image, rays)
     points = (image.depth[..., None] * rays) @ frame.R
     height = np.clip(cv2.medianBlur((frame.distance - points[..., 2]).astype(np.float32), 5), lowest_m, highest_m)
     pixel_m = image.crop.side / len(image.depth) * image.mean / camera.K[0, 0]
@@ -200,7 +187,6 @@ def described(
     reach = max(1, round(rim_m / pixel_m))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     around = cv2.filter2D(mask.astype(np.float32), -1, disc / np.float32(disc.sum()))
-    highest = cv2.dilate(height, disc)
     smooth = gaussian(np.clip(height, 0.0, None), eye_m / pixel_m)
     down, right = (np.gradient(smooth, pixel_m, axis=axis) for axis in (0, 1))
     at = np.array([(p.row, p.column) for p in grasps], int).reshape(-1, 2)
@@ -211,7 +197,7 @@ def described(
     angles = np.array([p.angle for p in grasps], float)
     openings = np.array([p.width for p in grasps], float) * z * image.crop.side / len(image.depth) / camera.K[0, 0]
     quality, sure = np.array([p.quality for p in grasps], float), certainty[rows, columns]
-    tastes, lifts = [], []
+    tastes = []
     for i, point in enumerate(places):
         one = objects[nearest[rows[i], columns[i]]]
         off = point[:2] - one.middle
@@ -237,18 +223,12 @@ def described(
             "line sin": np.sin(2.0 * angles[i]),
             "rim": 1.0 - around[rows[i], columns[i]],
             "certainty": sure[i],
-            "other line": float(turns[i] != 0.0),
             "against line": np.sin(turns[i]) ** 2 * sure[i],
-            "hollow": (highest[rows[i], columns[i]] - h) / LENGTH_M,
-            "flat": one.top / LENGTH_M,
         }
         tastes.append([seen[name] for name in TASTES])
-        lifts.append([seen[name] for name in LIFTS])
     slopes = np.stack([right[rows, columns] / steep, down[rows, columns] / steep], axis=1)
-    as_rows = (
-        np.clip(np.array(a, float).reshape(-1, n), -4.0, 4.0) for a, n in ((tastes, len(TASTES)), (lifts, len(LIFTS)))
-    )
-    return Candidates(tuple(grasps), frame, places, angles, openings, slopes, *as_rows)
+    liked = np.clip(np.array(tastes, float).reshape(-1, len(TASTES)), -4.0, 4.0)
+    return Candidates(tuple(grasps), frame, places, angles, openings, slopes, liked)
 
 
 def _objects(
