@@ -13,13 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from recordings import START, stored, write_recording
 
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_quaternion
 from leap_rig.recording import csv_export, read
-from leap_rig.recording.episode import ARM, HAND, color_image, training_episode
+from leap_rig.recording.episode import ARM, HAND, color_image, depth_image, training_episode
 from leap_rig.recording.recording_files import (
     MessageKind,
     RecordingFault,
@@ -31,6 +33,7 @@ from leap_rig.recording.recording_files import (
 from leap_rig.recording.ros1 import MessageFault, decoder
 from leap_rig.recording.run import RecordedRun
 from leap_rig.recording.session import EpisodeFault, EpisodeLabel, episode_folder, write_label
+from leap_rig.recording.signals import _velocities, held, moving, read_signals
 from leap_rig.recording.topics import JOINTS, RAW_FRAMES, SENT_GOALS
 
 ROOT = Path(__file__).parents[3]
@@ -211,17 +214,19 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
     Reported in https://github.com/huggingface/lerobot/issues/1249: frames of another shape raise while the dataset
     is written. Tried: images that change their size.
     """
-    from leap_rig.recording.lerobot_export import COLOR, export
+    from leap_rig.recording.lerobot_export import export
 
+    color = "observation.images.color"
     made, library = [], types.ModuleType("lerobot.datasets.lerobot_dataset")
 
     class Dataset:
         def create(*arguments):
             made.append(arguments[2])
+            (arguments[3] / "meta").mkdir(parents=True)
             return Dataset()
 
         def add_frame(self, frame):
-            assert frame[COLOR].shape == made[-1][COLOR]["shape"]
+            assert frame[color].shape == made[-1][color]["shape"]
 
         def save_episode(self):
             pass
@@ -232,7 +237,7 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
     monkeypatch.setitem(sys.modules, "lerobot.datasets.lerobot_dataset", library)
     whole = session(tmp_path / "whole", images=True)
     export([whole], tmp_path / "set", 20, "")
-    assert made[0][COLOR]["shape"] == (64, 96, 3)
+    assert made[0][color]["shape"] == (64, 96, 3)
     found = list(messages(whole / "messages.mcap"))
     last = max(i for i, m in enumerate(found) if m.topic == "/camera/rgb/image_raw")
     smaller = struct.pack("<III", 32, 96, 4) + b"rgb8" + struct.pack("<BI", 0, 288) + struct.pack("<I", 32 * 288)
@@ -240,7 +245,7 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
     found[last] = replace(found[last], data=head + smaller + bytes(32 * 288))
     mixed = write_recording(tmp_path / "mixed", found, name="x", task="lift the cup")
     with pytest.raises(RecordingFault, match="96 x 64 px, then 96 x 32"):
-        export([mixed], tmp_path / "set", 20, "")
+        export([mixed], tmp_path / "other", 20, "")
     assert len(made) == 1
 
 
@@ -256,6 +261,92 @@ def test_a_clock_that_was_set_back_is_named_and_a_message_out_of_turn_is_not(run
         training_episode(replace(run, **{part: np.r_[times[:half], times[half:] - 0.51]}), 10)
 
 
+@given(st.lists(st.floats(0.0, 10.0), max_size=30), st.lists(st.floats(-1.0, 11.0), min_size=1, max_size=30))
+def test_a_row_knows_the_newest_that_had_come_and_nothing_later(came, at):
+    came, at = np.array(sorted(came)), np.array(at)
+    rows, age = held(came, came[:, None], at)
+    for row, old, time in zip(rows[:, 0], age, at):
+        before = came[came <= time]
+        assert (row, old) == ((before[-1], time - before[-1]) if len(before) else (0.0, -1.0))
+
+
+@given(st.integers(0, 40), st.integers(1, 40), st.integers(0, 40))
+def test_what_stands_still_is_cut_but_for_half_a_second(before, during, after):
+    action = np.r_[np.zeros(before), 0.1 * np.arange(1, during + 1), np.full(after, 0.1 * during)][:, None]
+    part = moving(np.c_[action, np.ones_like(action)], 10)
+    assert part.start == max(0, before - 1 - 5) and part.stop == min(len(action), before + during + 5)
+
+
+def test_of_what_never_moves_nothing_is_cut():
+    assert moving(np.ones((20, 3)), 10) == slice(0, 20)
+
+
+def test_velocities_are_by_the_times_of_what_was_measured():
+    t = np.array([0.0, 0.03, 0.1])
+    run = types.SimpleNamespace(joint_times=t, joints=np.outer(t, [1.0, -2.0] + [0.0] * 5))
+    found = _velocities(run, np.array([-0.01, 0.02, 0.1, 0.5]))
+    np.testing.assert_allclose(found[:, 0], [0.0, 0.0, 1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(found[:, 1], [0.0, 0.0, -2.0, 0.0], atol=1e-9)
+
+
+def test_depth_is_a_picture_of_millimetres():
+    values = np.array([[0.0, np.nan, 0.3, 1.234], [np.inf, -1.0, 65.0, 70.0]], "<f4")
+    message = {"height": 2, "width": 4, "step": 20, "encoding": "32FC1", "is_bigendian": 0}
+    padded = b"".join(row.tobytes() + bytes(4) for row in values)
+    picture = depth_image({**message, "data": padded}).astype(int)
+    assert (256 * picture[..., 0] + picture[..., 1]).tolist() == [[0, 0, 300, 1234], [0, 0, 65000, 65535]]
+    counts = np.array([[0, 700]], "<u2").tobytes()
+    small = {"height": 1, "width": 2, "step": 4, "encoding": "16UC1", "is_bigendian": 0, "data": counts}
+    assert depth_image(small)[0, 1].tolist() == [2, 188, 0]
+    for wrong in ({"encoding": "mono8"}, {"step": 3}, {"data": b""}, {"is_bigendian": 1}):
+        with pytest.raises(RecordingFault, match="cannot be exported"):
+            depth_image({**small, **wrong})
+
+
+@pytest.mark.ros
+def test_all_that_a_run_holds_is_in_the_rows_of_its_time(tmp_path):
+    import rospy
+    from geometry_msgs.msg import Vector3, Vector3Stamped
+    from std_msgs.msg import Header
+
+    from kuka_msgs.msg import jointTorquesExternal
+    from leap_motion.msg import RawFrame
+    from reflex_msgs.msg import Finger, Hand
+    from rig_msgs.msg import GuardState, KukaStatus, TeleopState
+
+    folder = session(tmp_path / "run", images=False)
+    finger = Finger(0.5, 0.25, [True] + [False] * 8, [3.0] + [0.0] * 8)
+    text = json.dumps({"hands": [{"confidence": 0.5}, {"confidence": 0.75}]})
+    at = {
+        0.30: ("/kuka/joint_torques_external", jointTorquesExternal(Header(), *range(1, 8))),
+        0.31: ("/kuka/flange_force", Vector3Stamped(Header(), Vector3(1.0, 2.0, 3.0))),
+        0.32: ("/reflex_takktile/hand_state", Hand(finger=[finger] * 3)),
+        0.33: ("/kuka/status", KukaStatus(control_on=True, scaling_factor=0.5, limited_by=["joint speed"])),
+        0.34: ("/kuka/guard", GuardState(on=True, distance=float("inf"), scale=0.25)),
+        0.35: ("/leap_kuka/state", TeleopState(follows=True, limits=["yaw"])),
+        0.36: ("/leap_motion/raw_frames", RawFrame(rospy.Time(0, START), text)),
+    }
+    found = [one for one in messages(folder / "messages.mcap") if one.topic != "/reflex_takktile/hand_state"]
+    more = [stored(topic, message, seconds) for seconds, (topic, message) in at.items()]
+    whole = write_recording(tmp_path / "whole", sorted(found + more, key=lambda one: one.received))
+    table = read_signals(whole, BEGIN + np.array([0.2, 0.5]), read(whole))
+    assert all(len(table.names[key]) == rows.shape[1] for key, rows in table.rows.items())
+    assert set(table.units) == set(table.names) == set(table.rows)
+    early, late = ({key: rows[i].tolist() for key, rows in table.rows.items()} for i in range(2))
+    assert late["observation.external_torque"] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    assert late["observation.flange_force"] == [1.0, 2.0, 3.0]
+    assert late["observation.taxel_pressure"] == ([3.0] + [0.0] * 8) * 3 and sum(late["observation.taxel_contact"]) == 3
+    assert late["observation.finger_joints"] == [0.5] * 3 + [0.25] * 3
+    assert late["observation.controller"] == [1.0, 0.0, 0.5, 1.0, 0.0]
+    assert late["observation.guard"] == [1.0, 10.0, 0.25] and late["observation.teleoperation"] == [1.0, 0.0, 0.0, 1.0]
+    assert late["observation.tracker"] == [2.0, 0.75]
+    np.testing.assert_allclose(late["observation.velocity"], [1.0] * 7, atol=1e-5)
+    ages = dict(zip(table.names["observation.age"], late["observation.age"]))
+    assert ages["kuka.flange_force"] == pytest.approx(0.19, abs=1e-6) and ages["kuka.flange_torque"] == -1.0
+    assert not any(early["observation.external_torque"]) and early["observation.tracker"] == [0.0, 0.0]
+    assert max(early["observation.age"]) == -1.0
+
+
 LOAD = """
 import json, sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -266,15 +357,37 @@ print(json.dumps({
     "names": data.meta.features["action"]["names"], "version": data.meta.info["codebase_version"],
     "state": row["observation.state"].tolist(), "action": row["action"].tolist(),
     "image": list(row["observation.images.color"].shape), "grey": float(row["observation.images.color"].mean()),
+    "depth": (255.0 * row["observation.images.depth"][:, 0, 0]).round().tolist(),
+    "success": bool(row["next.success"]), "taxels": list(row["observation.taxel_pressure"].shape),
+    "force": row["observation.flange_force"].tolist(), "velocity": row["observation.velocity"].tolist(),
 }))
 """
 
 
+def seen_and_felt(folder):
+    """A recording as `session` makes it, with a force and depth images, labelled a success."""
+    import rospy
+    from geometry_msgs.msg import Vector3, Vector3Stamped
+    from sensor_msgs.msg import Image
+    from std_msgs.msg import Header
+
+    found = list(messages(session(folder.with_name(f"{folder.name}_plain"), images=True) / "messages.mcap"))
+    for i in range(10):
+        header = Header(0, rospy.Time(0, START), "")
+        depth = Image(header, 64, 96, "16UC1", 0, 192, np.full((64, 96), 700 + i, "<u2").tobytes())
+        found.append(stored("/camera/depth/image", depth, 0.1 * i))
+        found.append(stored("/kuka/flange_force", Vector3Stamped(header, Vector3(float(i), 2.0, 3.0)), 0.1 * i))
+    write_recording(folder, sorted(found, key=lambda one: one.received), name="x", task="lift the cup")
+    write_label(folder, EpisodeLabel(said="success"))
+    return folder
+
+
 @pytest.mark.ros
+@pytest.mark.real
 def test_lerobot_loads_the_dataset(tmp_path):
     if not LEROBOT.is_file():
         pytest.skip("LeRobot is not installed: make lerobot")
-    folders = [session(tmp_path / name, images=True) for name in ("one", "two")]
+    folders = [seen_and_felt(tmp_path / name) for name in ("one", "two")]
     command = ["rosrun", "leap_rig", "export_recording.py", *map(str, folders), "--lerobot", str(tmp_path / "set")]
     ended = subprocess.run([*command, "--fps", "20"], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
@@ -289,6 +402,12 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert found["state"][:7] == pytest.approx([0.5] * 7, abs=0.011)
     assert found["action"][:7] == pytest.approx([0.55] * 7, abs=0.011) and found["action"][7:] == [0.5] * 4
     assert found["image"] == [3, 64, 96] and found["grey"] == pytest.approx(100 / 255, abs=0.03)
+    assert found["depth"] == [2.0, 193.0, 0.0], "705 mm"
+    assert found["success"] is True and found["taxels"] == [27] and found["force"] == [5.0, 2.0, 3.0]
+    assert found["velocity"] == pytest.approx([1.0] * 7, abs=1e-3)
+    about = json.loads((tmp_path / "set" / "meta" / "leap_rig.json").read_text())
+    assert [one["recording"] for one in about["episodes"]] == ["one", "two"]
+    assert about["units"]["observation.flange_force"] == "N"
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 1 and "exists already" in again.stderr
 
@@ -310,6 +429,7 @@ for found in read_ros2_messages(str(folder / f"{folder.name}.mcap")):
 
 
 @pytest.mark.ros
+@pytest.mark.real
 @pytest.mark.long
 def test_other_tools_read_the_bag_of_ros2(tmp_path):
     """Also types that ROS 2 lacks or has with other fields."""
@@ -348,6 +468,12 @@ def test_other_tools_read_the_bag_of_ros2(tmp_path):
         info = found["/camera/rgb/camera_info"][2]
         assert all(each in info for each in ("height=480", "525.", "0.25", "distortion_model="))
         assert "package://x" in found["/kuka/workspace"][2] and "texture" in found["/kuka/workspace"][2]
+    assert found["depth"] == [2.0, 193.0, 0.0], "705 mm"
+    assert found["success"] is True and found["taxels"] == [27] and found["force"] == [5.0, 2.0, 3.0]
+    assert found["velocity"] == pytest.approx([1.0] * 7, abs=1e-3)
+    about = json.loads((tmp_path / "set" / "meta" / "leap_rig.json").read_text())
+    assert [one["recording"] for one in about["episodes"]] == ["one", "two"]
+    assert about["units"]["observation.flange_force"] == "N"
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 1 and "exists already" in again.stderr
 
@@ -416,7 +542,7 @@ def test_only_files_of_the_recording_leave_with_it(tmp_path):
 def test_what_ends_an_export_to_lerobot_is_a_sentence(monkeypatch, error, said):
     from leap_rig.recording import lerobot_export
 
-    def fails(*_):
+    def fails(*_, **__):
         raise error
 
     monkeypatch.setattr(lerobot_export, "export", fails)
@@ -444,8 +570,6 @@ def test_further_topics_of_the_recording_are_exported_too(tmp_path):
 @pytest.mark.parametrize(
     ("to", "options"),
     [
-        ("lerobot", {"from": 1.0}),
-        ("lerobot", {"to": 1.0}),
         ("lerobot", {"topic": "/tf"}),
         ("frames", {"topic": "/tf"}),
         ("csv", {"topic": "/tf"}),

@@ -108,9 +108,7 @@ def _refuse_unheeded(options: argparse.Namespace) -> None:
     if options.mcap is not None or options.ros2 is not None:
         return
     to = next(f"--{name}" for name in ("frames", "csv", "lerobot") if getattr(options, name) is not None)
-    given = {"--topic": options.topic is not None}
-    if to == "--lerobot":
-        given.update({"--from": options.start != 0.0, "--to": options.end != math.inf})
+    given = {"--topic": options.topic is not None, "--trim": options.trim and to != "--lerobot"}
     for option in (option for option, is_given in given.items() if is_given):
         raise RecordingFault(f"{option} is not for {to}, so nothing is written; leave it out.")
 
@@ -124,14 +122,17 @@ def _line(text: str) -> bytes | None:
 
 
 def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
+    cut = {"start": options.start, "end": options.end, "trim": options.trim}
     if importlib.util.find_spec("lerobot") is not None:
-        lerobot_export.export(folders, options.lerobot, options.fps, options.task)
+        lerobot_export.export(folders, options.lerobot, options.fps, options.task, **cut)
     else:
         request = {
             "recordings": [str(folder.resolve()) for folder in folders],
             "folder": str(options.lerobot.resolve()),
         }
-        code = _elsewhere("LeRobot", "lerobot", options.python, {**request, "fps": options.fps, "task": options.task})
+        code = _elsewhere(
+            "LeRobot", "lerobot", options.python, {**request, "fps": options.fps, "task": options.task, **cut}
+        )
         if code:
             return code
     print(f"Wrote the dataset {options.lerobot}.")
@@ -173,6 +174,7 @@ def _parser() -> argparse.ArgumentParser:
     to.add_argument("--csv", type=Path, metavar="DIR", help="a folder of CSV files: poses, joints, goals, hand")
     to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
     parser.add_argument("--fps", type=whole(1, most_fps), default=30, help="rows a second of the dataset (default: 30)")
+    parser.add_argument("--trim", action="store_true", help="of a dataset: leave out what does not move at the ends")
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
     python = "Python with LeRobot, or with ROS 2 (default: that of `make lerobot` or `make ros2`)"
     parser.add_argument("--python", type=Path, help=python)
