@@ -235,3 +235,15 @@ def test_the_watchdogs_times_fit():
 def test_what_the_robot_knows_is_taken_off_no_second_time():
     load = rig(RealTimeConfig)[1].load
     assert not load.unknown(True).torques(np.full(7, 0.5)).any() and load.unknown(False) is load
+
+
+@pytest.mark.ros
+def test_a_stop_that_hangs_does_not_delay_the_end_of_the_controller(virtual_graph, monkeypatch):
+    from kuka_control.ros import services
+
+    ended, began = [], clock.monotonic()
+    monkeypatch.setattr(services.os, "_exit", lambda code: ended.append((clock.monotonic() - began, code)))
+    one = services.Services(Switches(), lambda: clock.sleep(1.0))
+    assert one._end_at_once(None)[0]
+    ((seconds, code),) = ended
+    assert seconds == pytest.approx(services.ANSWER_S, abs=0.01) and code == 2

@@ -67,10 +67,10 @@ class Services:
         """Needs neither the control loop nor the robot, so it also works when those hang."""
         emergency_exit_code = 2
         self._exits = True
-        left_behind = self._stop() or "the robot holds its last goal or completes its PTP motion"
         timer = clock.Timer(ANSWER_S, os._exit, [emergency_exit_code])
         timer.daemon = True
-        timer.start()
+        timer.start()  # first: a link that hangs must not delay the end, with which the robot loses its client
+        left_behind = self._stop() or "the robot holds its last goal or completes its PTP motion"
         return True, f"The controller exits at once; {left_behind}."
 
 
