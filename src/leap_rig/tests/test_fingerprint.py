@@ -104,7 +104,8 @@ def test_every_parameter_is_compared_or_left_out_on_purpose():
     assert fields >= KNOWN
     assert fields - KNOWN == LEFT_OUT == {
         "ip", "port", "time_out", "home_pos", "use_home_pos", "named_positions", "rate_joints", "rate_state",
-        "rate_servo", "servo_law", "joints_thresh", "ptp_contact_torque", "flange_force_raw",
+        "rate_servo", "servo_law", "joints_thresh", "ptp_contact_torque", "flange_force_raw", "robot_server",
+        "watchdog_brake", "watchdog_end",
     }  # fmt: skip
 
 
@@ -114,7 +115,8 @@ def test_no_parameter_that_is_left_out_moves_a_joint_elsewhere_on_a_recorded_pat
     others = {
         "ip": "10.0.0.1", "port": 30002, "time_out": 0.5, "named_positions": "/another.yaml", "rate_joints": 50.0,
         "rate_state": 10.0, "rate_servo": 100.0, "servo_law": "lts", "use_home_pos": True,
-        "ptp_contact_torque": 5.0, "flange_force_raw": True,
+        "ptp_contact_torque": 5.0, "flange_force_raw": True, "robot_server": "leap_rig", "watchdog_brake": 0.5,
+        "watchdog_end": 20.0,
         "home_pos": [-30.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0], "elbow_preference": 60.0,
     }  # fmt: skip
 

@@ -105,5 +105,5 @@ KNOWN = frozenset(key for keys in GROUPS.values() for key in keys)
 """All keys of a fingerprint."""
 LEFT_OUT = frozenset(field.name for schema in (RealTimeConfig, PtpConfig) for field in fields(schema)) - KNOWN
 """Parameters that change neither the arm, nor where it goes on a recorded path, nor how fast: address, rates, home, at
-which torque a PTP motion ends.
+which torque a PTP motion ends, what answers on the robot and how long that waits.
 """
