@@ -502,7 +502,7 @@ def test_with_a_taste_there_are_grasps_in_either_view_and_how_sure_they_are(ros,
         ({"lifts": "never"}, "lifts is never, but refine: true chooses among the grasps of that network."),
         (
             {"lift_weights": "/nowhere/lifts.pt"},
-            "refine: true chooses among the grasps of a network of lifts, and there is none. The file /nowhere",
+            "refine: true needs a network of lifts. The file /nowhere",
         ),
         ({"refinement_weights": "/nowhere/a.pt"}, "The file /nowhere/a.pt cannot be read"),
     ],

@@ -217,7 +217,7 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
     from leap_rig.recording.lerobot_export import export
 
     color = "observation.images.color"
-    made, library = [], types.ModuleType("lerobot.datasets.lerobot_dataset")
+    made, frames, library = [], [], types.ModuleType("lerobot.datasets.lerobot_dataset")
 
     class Dataset:
         def create(*arguments):
@@ -227,6 +227,7 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
 
         def add_frame(self, frame):
             assert frame[color].shape == made[-1][color]["shape"]
+            frames.append(frame)
 
         def save_episode(self):
             pass
@@ -238,6 +239,12 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
     whole = session(tmp_path / "whole", images=True)
     export([whole], tmp_path / "set", 20, "")
     assert made[0][color]["shape"] == (64, 96, 3)
+    assert len(frames) == 20
+    frames.clear()
+    export([whole], tmp_path / "cut", 20, "", start=0.295, end=0.625)
+    assert len(frames) == 7 and frames[0]["observation.state"][0] == pytest.approx(0.3, abs=0.011)
+    assert int(frames[0][color][0, 0, 0]) == 60, "the image of that time"
+    made.pop()
     found = list(messages(whole / "messages.mcap"))
     last = max(i for i, m in enumerate(found) if m.topic == "/camera/rgb/image_raw")
     smaller = struct.pack("<III", 32, 96, 4) + b"rgb8" + struct.pack("<BI", 0, 288) + struct.pack("<I", 32 * 288)

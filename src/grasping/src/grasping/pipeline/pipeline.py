@@ -126,7 +126,7 @@ class GraspPipeline:
         taste: PoseTaste | None = None,
     ) -> None:
         if taste is not None and lifts is None:
-            raise ValueError("a taste chooses among the grasps of a network of lifts, and there is none")
+            raise ValueError("a taste needs a network of lifts")
         self._views, self._settings, self._clock, self._lifts, self._taste = views, settings, clock, lifts, taste
         self.network = frozen(network, precision=settings.precision)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)

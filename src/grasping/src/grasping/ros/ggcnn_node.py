@@ -281,7 +281,7 @@ def _run() -> None:
     kinds: Mapping[str, PoseTaste] = {}
     if main.refine:
         if lifts is None:
-            raise RigError(f"refine: true chooses among the grasps of a network of lifts, and there is none. {why}")
+            raise RigError(f"refine: true needs a network of lifts. {why}")
         rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None), lifts_sha256)
         kinds = load_refinement(main.refinement_weights, rig)
     taste = of_kind(kinds, main.refinement_kind) if main.refine else None

@@ -60,11 +60,11 @@ def load_refinement(name: str, rig: Origin) -> Mapping[str, PoseTaste]:
 
 
 class LoadedLifts(NamedTuple):
-    """A network of lifts, or why there is none."""
+    """A network of lifts, or why it is missing."""
 
     network: LiftNetwork | None
     sha256: str  # of its file, hexadecimal
-    why: str  # there is none, a sentence
+    why: str  # it is missing, a sentence
 
 
 def load_lifts(name: str, wanted: str, hand: str, ggcnn: str) -> LoadedLifts:

@@ -136,7 +136,7 @@ def write_label(folder: Path, label: EpisodeLabel) -> None:
 
 
 def read_label(folder: Path) -> EpisodeLabel:
-    """Returns the label of an episode; raises EpisodeFault if it is none."""
+    """Returns the label of an episode; raises EpisodeFault for any other file."""
     path = folder / LABEL
     try:
         content: Any = yaml.safe_load(read_text(path))
@@ -182,11 +182,12 @@ def next_number(session: Path) -> int:
 
 
 def chosen(session: Path, outcomes: tuple[str, ...] = (SUCCESS,)) -> list[Path]:
-    """Returns a session's episodes with these outcomes; raises EpisodeFault if there is none, or a label is bad."""
+    """Returns a session's episodes with these outcomes; raises EpisodeFault without any, or of a bad label."""
     folders = episode_folders(session)
     found = [folder for folder in folders if read_label(folder).outcome in outcomes]
     if not found:
+        wanted = " or ".join(outcomes)
         raise EpisodeFault(
-            f"Of {len(folders)} episodes in {session} none is labelled {' or '.join(outcomes)}, so there is nothing."
+            f"Of {len(folders)} episodes in {session} none is labelled {wanted}; label one, or choose another outcome."
         )
     return found

@@ -87,7 +87,7 @@ class RobotState(NamedTuple):
 
 
 def parse_hello(reply: KstReply) -> Hello | None:
-    """Returns the hello in an answer to HELLO; None if it is none."""
+    """Returns the hello in an answer to HELLO; None for any other answer."""
     fields = reply.fields
     if len(fields) < 4 or fields[:2] != ("lrHello", "leapRig") or not re.fullmatch(r"\d{1,9}", fields[3]):
         return None

@@ -63,9 +63,8 @@ def main() -> None:
 def record(options: argparse.Namespace) -> int:
     """Records episodes until the session ends; returns the exit code."""
     folder = folder_of(options.session)
-    rule = SuccessRule.parse(options.success)
     join("leap_rig_episodes")
-    recorder = EpisodeRecorder(folder, options, rule)
+    recorder = EpisodeRecorder(folder, options)
     interrupted = clock.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
@@ -76,12 +75,12 @@ def record(options: argparse.Namespace) -> int:
 class EpisodeRecorder:
     """Records the episodes of one session."""
 
-    def __init__(self, folder: Path, options: argparse.Namespace, rule: SuccessRule) -> None:
-        self._folder, self._options, self._rule = folder, options, rule
+    def __init__(self, folder: Path, options: argparse.Namespace) -> None:
+        self._folder, self._options = folder, options
         self._session = EpisodeSession(episodes.next_number(folder), options.countdown, options.longest)
         self._lock = clock.Lock()
         self._waiting: list[EpisodeChange] = []  # changes that the main loop has not done yet
-        self._judge = SuccessJudge(rule, options.thing)
+        self._judge = SuccessJudge(options.success, options.thing)
         self._inbox = Inbox()
         self._writer: RecordingWriter | None = None
         self._counts = Counter(episodes.read_label(one).outcome for one in episodes.episode_folders(folder))
@@ -230,7 +229,7 @@ class EpisodeRecorder:
         self._writer = writer_of(folder, self._options, master_of_this_graph().getParam("/"), self._inbox.now)
         self._began = clock.monotonic()
         with self._lock:
-            self._judge = SuccessJudge(self._rule, self._options.thing)
+            self._judge = SuccessJudge(self._options.success, self._options.thing)
         unfinished = EpisodeLabel(episodes.UNFINISHED, task=self._options.task, operator=self._options.operator)
         episodes.write_label(folder, unfinished)
         for message in latched:
@@ -298,12 +297,11 @@ def _keys() -> Iterator[Callable[[], str]]:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
-def _rule(text: str) -> str:
+def _rule(text: str) -> SuccessRule:
     try:
-        SuccessRule.parse(text)
+        return SuccessRule.parse(text)
     except EpisodeFault as error:
         raise argparse.ArgumentTypeError(str(error)) from None
-    return text
 
 
 def _parser() -> argparse.ArgumentParser:
