@@ -129,7 +129,7 @@ def test_another_kind_of_object_is_preferred_otherwise_from_the_next_image_on():
 
 def test_a_taste_needs_a_network_of_lifts():
     s = settings_from(YAML)
-    with pytest.raises(ValueError, match="a taste chooses among the grasps of a network of lifts"):
+    with pytest.raises(ValueError, match="a taste needs a network of lifts"):
         GraspPipeline(s.views(), Nearest(), s.steps(UP), taste=leaning())
     with pytest.raises(ConfigError, match="lifts is never, but refine: true chooses among the grasps of that network"):
         settings_from(overlaid(YAML, {"refine": True, "lifts": "never"}))
