@@ -15,10 +15,10 @@ from grasping.lab.evaluation import sheets, tables, trials
 from grasping.lab.evaluation.lifting import lift, nearest_object
 from grasping.lab.evaluation.trials import angle_between, is_right, judge, oracle, overlap, situation
 from grasping.lab.synthetic import samples, scene
-from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml
 from grasping.lab.synthetic.shapes import Geom
 from grasping.network.maps import REFLEX, Peak
+from grasping.poses.gripper import GRIPPER
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -71,7 +71,7 @@ ACROSS = DOWN @ rotation_about(2, 0.5 * np.pi)
     ids=["across", "along, where it is too long", "beside", "smooth"],
 )
 def test_lifting_a_bar(R, place, friction, reason):
-    trial = lift(box_scene(), pose(R, place), 0.05, Gripper(), friction)
+    trial = lift(box_scene(), pose(R, place), 0.05, GRIPPER, friction)
     assert (trial.reason, trial.lifted) == (reason, reason == lift_trial.LIFTED)
     assert (trial.rise > 0.1) == trial.lifted
 
@@ -82,8 +82,8 @@ def test_only_the_object_that_was_meant_counts():
     state = np.array([0.0, 0.0, 0.02, *upright, 0.0, 0.3, 0.02, *upright])
     two = HeapScene(world_xml((bar, bar)), state, (bar, bar), ("box", "box"))
     at_first = pose(ACROSS, (0.0, 0.0, 0.04))
-    assert lift(two, at_first, 0.05, Gripper(), 0.5, 0).lifted
-    assert lift(two, at_first, 0.05, Gripper(), 0.5, 1).reason == lift_trial.OTHER_OBJECT
+    assert lift(two, at_first, 0.05, GRIPPER, 0.5, 0).lifted
+    assert lift(two, at_first, 0.05, GRIPPER, 0.5, 1).reason == lift_trial.OTHER_OBJECT
     for point, nearest in (((0.0, 0.0, 0.041), 0), ((0.0, 0.29, 0.03), 1), ((0.1, 0.17, 0.0), 1), ((0.1, 0.13, 0), 0)):
         assert nearest_object(two, np.array(point)) == nearest
 
@@ -91,10 +91,10 @@ def test_only_the_object_that_was_meant_counts():
 def test_a_shake_drops_what_the_fingers_just_hold(monkeypatch):
     monkeypatch.setattr(scene, "DENSITY", 7600.0)  # the bar weighs 8.9 N, and the fingers can carry 10 N
     grasp = pose(ACROSS, (0.0, 0.0, 0.04))
-    assert lift(box_scene(), grasp, 0.05, Gripper(), 0.5, 0).lifted
-    assert lift(box_scene(), grasp, 0.05, Gripper(), 0.5, 0, shake=True).reason == lift_trial.SHAKEN_OUT
+    assert lift(box_scene(), grasp, 0.05, GRIPPER, 0.5, 0).lifted
+    assert lift(box_scene(), grasp, 0.05, GRIPPER, 0.5, 0, shake=True).reason == lift_trial.SHAKEN_OUT
     monkeypatch.undo()
-    assert lift(box_scene(), grasp, 0.05, Gripper(), 0.5, 0, shake=True).lifted
+    assert lift(box_scene(), grasp, 0.05, GRIPPER, 0.5, 0, shake=True).lifted
 
 
 def test_the_arms_error_is_the_one_asked_for():

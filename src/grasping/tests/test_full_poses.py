@@ -7,12 +7,12 @@ import pytest
 
 from common.lift_trial import COLLISION
 from grasping.lab.evaluation.lifting import lift
-from grasping.lab.synthetic import samples, scene, shapes
+from grasping.lab.synthetic import scene, shapes
 from grasping.lab.synthetic.full_poses import PoseSampler
 from grasping.lab.synthetic.shapes import Geom
+from grasping.poses.gripper import GRIPPER
 from grasping.poses.hypotheses import MAX_TILT_RAD
 
-GRIPPER = samples.GRIPPER
 BAR = (Geom("box", (0.06, 0.015, 0.02)),)
 LYING = np.array([0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0])
 

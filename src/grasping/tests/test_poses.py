@@ -14,20 +14,23 @@ import torch
 
 from common.camera_model import CameraModel, pinhole
 from common.errors import RigError
+from common.lift_trial import LIFTED, NO_GRASP
+from common.poses import pose
 from common.rotations import rotation_about
-from grasping.lab.evaluation import antipodal, lift_file
+from grasping.lab.evaluation import antipodal, lift_file, trials
 from grasping.lab.evaluation.antipodal import antipodal_grasp
 from grasping.lab.programs import evaluate_poses, make_attempts, train_lifts
 from grasping.lab.programs.train_lifts import LiftData, calibrate, train
-from grasping.lab.synthetic import scene
+from grasping.lab.synthetic import attempts, scene
 from grasping.lab.synthetic.full_poses import PoseSampler
 from grasping.lab.synthetic.pose_labels import REASONS
-from grasping.lab.synthetic.samples import GRIPPER, GRIPPERS
 from grasping.lab.synthetic.shapes import Geom
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import PARALLEL, REFLEX, Maps
 from grasping.poses import hand_view, hypotheses
+from grasping.poses.candidates import image_rays, level_frame
 from grasping.poses.chooser import ImageMaps, choose, tilts
+from grasping.poses.gripper import GRIPPER, GRIPPERS, Gripper
 from grasping.poses.hypotheses import MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
 from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
 
@@ -70,14 +73,14 @@ def of_turns(of: ImageMaps, *turns: Turn) -> Hypotheses:
     return hypotheses.hypotheses(of.maps, of.certainty, of.image, of.camera, of.frame, OPEN_M, turns)
 
 
-def seen(of: ImageMaps, tried: Hypotheses) -> np.ndarray:
-    return hand_view.features(tried, of.image, of.camera, of.frame)
+def seen(of: ImageMaps, tried: Hypotheses, gripper: Gripper = GRIPPER) -> np.ndarray:
+    return hand_view.features(tried, of.image, of.camera, of.frame, gripper)
 
 
 def near_fingers(values: np.ndarray) -> np.ndarray:
     """Returns the part of features at the fingers: across, along, down."""
     cut = hand_view.FEATURES - hand_view.SCALARS - len(hand_view.AROUND_M) ** 2
-    return values[:, :cut].reshape(len(values), -1, len(hand_view.ALONG_M), len(hand_view.DOWN_M))
+    return values[:, :cut].reshape(len(values), -1, len(hand_view.ALONG), len(hand_view.DOWN_M))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -120,13 +123,42 @@ def test_fingers_beside_a_bar_are_free_and_the_bar_is_between_them():
     of = bar_image()
     best = of_turns(of, Turn()).part(np.array([0]))
     around = near_fingers(seen(of, best))[0]
-    beside, middle = len(hand_view.BESIDE_M), around.shape[0] // 2
+    beside, middle = len(hand_view.BESIDE), around.shape[0] // 2
     above_table = slice(0, 6)
     assert (around[:beside, :, above_table] < 0.0).all() and (around[-beside:, :, above_table] < 0.0).all()
     assert (around[middle, :, -4:] > 0.0).all(), "its inside is behind its top"
     narrow = best._replace(opening=np.array([0.02]))
     blocked = near_fingers(seen(of, narrow))[0]
     assert blocked[beside - 1, 2, -3] > 0.0 and blocked[-beside, 2, -3] > 0.0, "fingers would come down on the bar"
+
+
+def test_thicker_broader_and_longer_fingers_look_further():
+    of = bar_image(beside=True)
+    best = of_turns(of, Turn()).part(np.array([0]))
+    beside = slice(len(hand_view.BESIDE), -len(hand_view.BESIDE))
+    usual = near_fingers(seen(of, best))[0]
+    thick, broad, deep = (
+        near_fingers(seen(of, best, dataclasses.replace(GRIPPER, **more)))[0]
+        for more in ({"thickness": 0.05, "breadth": 0.08}, {"breadth": 0.08}, {"reach": 0.03})
+    )
+    np.testing.assert_array_equal(thick[beside], broad[beside])
+    assert (thick > broad + 0.1).any(), "the block"
+    middle = len(hand_view.ALONG) // 2
+    np.testing.assert_array_equal(broad[:, middle], usual[:, middle])
+    assert (np.abs(broad - usual) > 0.1).any(), "the bar's ends or the block"
+    assert (deep >= usual - 1e-6).all() and (deep > usual + 0.1).any()
+
+
+def test_a_hand_that_never_opens_less_sees_so():
+    of = bar_image()
+    best = of_turns(of, Turn()).part(np.array([0]))
+    narrow, wide = (best._replace(opening=np.array([opening])) for opening in (0.02, 0.06))
+    half_closed = dataclasses.replace(GRIPPER, least=0.06)
+    same, differing = (
+        [near_fingers(seen(of, one, gripper)) for one in (narrow, wide)] for gripper in (half_closed, GRIPPER)
+    )
+    np.testing.assert_array_equal(*same)
+    assert not np.array_equal(*differing)
 
 
 def test_a_hand_turned_by_half_a_turn_sees_both_sides_exchanged():
@@ -215,21 +247,26 @@ def test_a_bare_table_offers_nothing():
 
 
 def test_weights_come_back_and_other_files_are_refused():
-    network = LiftNetwork(REFLEX, "cd" * 32).eval()
+    network = LiftNetwork(REFLEX, "cd" * 32, GRIPPERS[REFLEX]).eval()
     network.temperature.fill_(1.7)
     file = io.BytesIO()
     torch.save(saved(network), file)
     values = np.random.default_rng(0).standard_normal((5, hand_view.FEATURES)).astype(np.float32)
     again = loaded(file.getvalue())
     np.testing.assert_array_equal(lift_logits(again, values), lift_logits(network, values))
-    assert (again.hand, again.ggcnn) == (REFLEX, "cd" * 32)
+    assert (again.hand, again.ggcnn, again.gripper) == (REFLEX, "cd" * 32, GRIPPERS[REFLEX])
     with pytest.raises(RigError, match="holds no weights of the network of lifts"):
         loaded(b"nothing")
     other = io.BytesIO()
     torch.save({**saved(network), "features": 3}, other)
     with pytest.raises(RigError, match="3 features"):
         loaded(other.getvalue())
-    for wrong, sentence in (({"hand": "claw"}, "of the hand 'claw'"), ({"ggcnn": None}, "GG-CNN's file None")):
+    wrongs = {
+        "of the hand 'claw'": {"hand": "claw"},
+        "GG-CNN's file None": {"ggcnn": None},
+        "gripper/opening is -1.0, but must be a finite number": {"gripper": {"opening": -1.0}},
+    }
+    for sentence, wrong in wrongs.items():
         nobodys = io.BytesIO()
         torch.save({**saved(network), **wrong}, nobodys)
         with pytest.raises(RigError, match=sentence):
@@ -244,7 +281,7 @@ def test_training_learns_and_its_probability_is_one():
         values = 0.1 * rng.standard_normal((n, hand_view.FEATURES)).astype(np.float32)
         values[:, -4] = rng.choice((-1.0, 1.0), n)
         chance = np.where(values[:, -4] > 0.0, 0.9, 0.2)  # the opening, which no mirror changes
-        return LiftData(values, (rng.random(n) < chance).astype(np.float32), REFLEX, "ab" * 32)
+        return LiftData(values, (rng.random(n) < chance).astype(np.float32), REFLEX, "ab" * 32, GRIPPERS[REFLEX])
 
     network, rows = train(made(3000), made(1000), 10, 2e-3, 0)
     assert rows[-1]["training"] < rows[0]["training"]
@@ -256,6 +293,21 @@ def test_training_learns_and_its_probability_is_one():
     assert said[~high].mean() == pytest.approx(0.2, abs=0.08)
 
 
+@pytest.mark.parametrize(("hand", "exchanged"), [(PARALLEL, {False, True}), (REFLEX, {False})])
+def test_only_like_fingers_are_exchanged_in_training(monkeypatch, hand, exchanged):
+    found = set()
+
+    def mirrored(values, across, along):
+        found.add(across)
+        return values
+
+    monkeypatch.setattr(hand_view, "mirrored", mirrored)
+    values = np.zeros((20 * 256, hand_view.FEATURES), np.float32)
+    data = LiftData(values, np.ones(len(values), np.float32), hand, "ab" * 32, GRIPPERS[hand])
+    train(data, data, 1, 2e-3, 0)
+    assert found == exchanged
+
+
 def test_overconfident_logits_are_calibrated():
     torch.manual_seed(0)
     network = LiftNetwork().eval()
@@ -263,7 +315,7 @@ def test_overconfident_logits_are_calibrated():
     with torch.no_grad():
         network.layers[-1].weight.mul_(40.0)
         honest = torch.sigmoid(network(features) / 2.0)
-    calibrate(network, LiftData(features.numpy(), torch.bernoulli(honest).numpy(), REFLEX, "ab" * 32))
+    calibrate(network, LiftData(features.numpy(), torch.bernoulli(honest).numpy(), REFLEX, "ab" * 32, GRIPPERS[REFLEX]))
     assert float(network.temperature) == pytest.approx(2.0, abs=0.2)
 
 
@@ -304,6 +356,48 @@ def test_attempts_come_back_with_their_images(shard):
     assert data.features.shape == (8, hand_view.FEATURES)
     np.testing.assert_array_equal(data.lifted, lifted)
     assert (data.hand, data.ggcnn) == (PARALLEL, hashlib.sha256(WEIGHTS.read_bytes()).hexdigest())
+    assert data.gripper == GRIPPER
+
+
+NARROW = dataclasses.replace(GRIPPER, opening=0.03, thickness=0.02)
+
+
+def test_attempts_of_a_described_gripper_are_its_own(shard, tmp_path, monkeypatch):
+    """It opens no wider than it can, is lifted with as it is, and its network sees with its fingers."""
+    path = tmp_path / "train_8_000000.npz"
+    task = make_attempts.AttemptTask(path, "train", range(1, 2), WEIGHTS, 8, None, gripper=NARROW)
+    tried_with = []
+
+    def noted(of, gripper):
+        tried_with.append(gripper)
+        return [LIFTED] * len(of.tried.T)
+
+    monkeypatch.setattr(make_attempts, "lifted", noted)
+    make_attempts.make_shard(task)
+    assert tried_with == [NARROW]
+    with np.load(path) as arrays, np.load(shard) as usual:
+        assert 0.0 < arrays["opening"].max() <= NARROW.opening < usual["opening"].max()
+        tried = Hypotheses(arrays["T"], arrays["opening"], arrays["seen"])
+        depth = 1e-4 * arrays["depth"][0].astype(np.float32)
+        image = NetworkImage(Crop(0, 0, CROP_SIDE), depth, depth, arrays["valid"][0], float(depth.mean()))
+    data = train_lifts.read([path])
+    assert data.gripper == NARROW
+    frame = level_frame(image, image_rays(image, trials.camera()))
+    np.testing.assert_array_equal(data.features, hand_view.features(tried, image, trials.camera(), frame, NARROW))
+    assert train(data, data, 1, 2e-3, 0)[0].gripper == NARROW
+    with pytest.raises(ValueError, match="of several hands"):
+        train_lifts.read([shard, path])
+
+
+def test_a_described_gripper_is_lifted_with_as_it_is():
+    """One whose pads reach 5 mm above the table closes over a bar of 4 mm."""
+    bar = ((Geom("box", (0.06, 0.008, 0.02)),),)
+    one = scene.HeapScene(scene.world_xml(bar), LYING, bar, ("box",))
+    T = pose(np.diag([1.0, -1.0, -1.0]) @ rotation_about(2, np.pi / 2), (0.0, 0.0, 0.04))
+    tried = Hypotheses(T[None], np.array([0.03]), np.zeros((1, 3)))
+    of = make_attempts.Attempts(one, None, tried, T[None], np.array([0.6]), np.array([0]))
+    assert attempts.lifted(of, GRIPPER) == [LIFTED]
+    assert attempts.lifted(of, dataclasses.replace(GRIPPER, ground=0.05)) != [LIFTED]
 
 
 REFLEX_WEIGHTS = WEIGHTS.with_name("ggcnn2_reflex.pt")
@@ -314,7 +408,9 @@ def to_be_lifted(tmp_path_factory):
     """The task of a shard of the rig's hand, and its scene as the other program gets it."""
     folder = tmp_path_factory.mktemp("reflex")
     shard, results = folder / "train_8_000000.npz", folder / "results.json"
-    task = make_attempts.AttemptTask(shard, "train", range(1, 2), REFLEX_WEIGHTS, 8, None, REFLEX, results)
+    task = make_attempts.AttemptTask(
+        shard, "train", range(1, 2), REFLEX_WEIGHTS, 8, None, REFLEX, GRIPPERS[REFLEX], results
+    )
     return task, make_attempts.exported((task, 1))
 
 
@@ -331,7 +427,7 @@ def test_attempts_of_the_rigs_hand_go_to_its_world_and_come_back_as_a_shard(to_b
     assert tilt.max() < 50.0 and np.ptp(tilt) > 10.0
     reasons = [REASONS[i % 3] for i in range(8)]
     task.results.write_text(json.dumps(rows_of(scene, reasons)))
-    make_attempts.results.cache_clear()
+    lift_file.results_by_scene.cache_clear()
     make_attempts.make_shard(task)
     with np.load(task.path) as arrays:
         assert arrays["reason"].tolist() == [0, 1, 2, 0, 1, 2, 0, 1] and arrays["T"].shape == (8, 4, 4)
@@ -434,7 +530,7 @@ def test_opposed_surfaces_of_a_bar_are_its_long_sides(turned, tilt):
 
 def test_a_bar_wider_than_the_hand_and_a_bare_table_have_no_opposed_surfaces_within_reach():
     for opening in (0.025, 0.036):  # narrower than the bar, and without room for the clearances
-        narrow = GRIPPER._replace(opening=opening)
+        narrow = dataclasses.replace(GRIPPER, opening=opening)
         assert antipodal_grasp(bar_image(), narrow, MAX_TILT_RAD, np.random.default_rng(1)) is None
     assert antipodal_grasp(bar_image(height=0.0), GRIPPER, MAX_TILT_RAD, np.random.default_rng(1)) is None
 
@@ -444,7 +540,7 @@ def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_pat
     torch.manual_seed(0)
     torch.save(saved(LiftNetwork()), file)
     rows = evaluate_poses.try_scene(
-        evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {"other": WEIGHTS}, {"mine": file})
+        evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {"other": WEIGHTS}, {"mine": file}, GRIPPER)
     )
     methods = [*evaluate_poses.ALL, "other", "mine, from above", "mine, tilted"]
     assert [row["method"] for row in rows] == methods
@@ -456,6 +552,46 @@ def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_pat
     text = evaluate_poses.report(tmp_path, rows, methods)
     assert all(f"| {method} |" in text for method in methods)
     assert (tmp_path / "reliability.png").stat().st_size > 1000
+
+
+@pytest.fixture
+def reflex_lifts(tmp_path):
+    """A network of lifts for the rig's hand."""
+    file = tmp_path / "lifts.pt"
+    torch.manual_seed(0)
+    torch.save(saved(LiftNetwork(REFLEX, "", GRIPPERS[REFLEX])), file)
+    return file
+
+
+def test_grasps_of_the_rigs_hand_go_to_its_world_and_come_back_as_rows(reflex_lifts, tmp_path):
+    task = evaluate_poses.PoseTrialTask("validation", 2, REFLEX_WEIGHTS, {}, {"mine": reflex_lifts}, GRIPPERS[REFLEX])
+    scene = evaluate_poses.exported(task)
+    methods = [*evaluate_poses.ALL, "mine, from above", "mine, tilted"]
+    assert [grasp["method"] for grasp in scene["grasps"]] == methods
+    assert all(grasp["own_approach"] for grasp in scene["grasps"] if grasp["peak"])
+    results = tmp_path / "results.json"
+    rows = [{**scene, **g, "lifted": g["method"] == methods[-1], "reason": LIFTED} for g in scene["grasps"]]
+    rows[0].update(reason=NO_GRASP, peak=None, width=None)
+    results.write_text(json.dumps(rows))
+    (found,) = evaluate_poses.of_results(results, [task])
+    assert [row["method"] for row in found] == methods
+    assert all(set(row) == set(evaluate_poses.COLUMNS) for row in found)
+    assert [row["found"] for row in found] == [False] + [True] * 4
+    assert [row["lifted"] for row in found] == [False] * 4 + [True]
+    assert found[-1]["opening"] == scene["grasps"][-1]["width"]
+    with pytest.raises(RigError, match="holds nothing of scene 3 of validation"):
+        list(evaluate_poses.of_results(results, [task._replace(number=3)]))
+
+
+@pytest.mark.parametrize("options", ["", "--export X --results X"])
+def test_the_rigs_hand_is_compared_by_its_own_physics_alone(reflex_lifts, tmp_path, monkeypatch, capsys, options):
+    monkeypatch.chdir(tmp_path)
+    words = f"evaluate_poses.py out {REFLEX_WEIGHTS} --lifts mine {reflex_lifts} {options}"
+    monkeypatch.setattr("sys.argv", words.split())
+    with pytest.raises(SystemExit):
+        evaluate_poses.main()
+    assert "--export" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == [reflex_lifts.name]
 
 
 def test_a_folder_without_validation_is_refused(shard, capsys, monkeypatch):

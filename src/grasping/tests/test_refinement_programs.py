@@ -21,7 +21,7 @@ from test_programs import call
 from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.dataset.labels import relative_label
-from grasping.lab.evaluation import person_study
+from grasping.lab.evaluation import person_study, trials
 from grasping.lab.evaluation.person_study import BOTH, NETWORK, PERSON
 from grasping.lab.programs import evaluate, evaluate_refinement, make_dataset, make_episodes, train_refinement
 from grasping.lab.programs.make_episodes import EpisodeTask
@@ -135,6 +135,20 @@ def test_what_an_operator_meant_is_without_miss_and_tremor(data):
         assert 0.0 < np.linalg.norm(off) < 0.025
 
 
+def test_a_hard_lift_is_with_the_arms_error_and_through_a_shake(monkeypatch):
+    of, seen = simulated_operator.situation("kind_hammer", 1), []
+    monkeypatch.setattr(
+        simulated_operator, "lift", lambda *at, **how: seen.append((at, how)) or SimpleNamespace(lifted=True)
+    )
+    T = np.eye(4)
+    simulated_operator.held(of, T), simulated_operator.held(of, T, hard=True)
+    (easy, how_easy), (hard, how_hard) = seen
+    assert (how_easy["shake"], how_hard["shake"]) == (False, True)
+    error = np.linalg.inv(easy[1]) @ hard[1]
+    np.testing.assert_allclose(error, trials.drawn(1, trials.USUAL)[1], atol=1e-12)
+    assert np.linalg.norm(error[:3, 3]) > 1e-4
+
+
 def test_training_learns_and_says_what(data, lifts, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
     call(monkeypatch, train_refinement, data, run, "--lifts", lifts)
@@ -235,7 +249,8 @@ def test_predictors_are_compared_and_the_study_reads_it(every, lifts, tmp_path, 
     call(monkeypatch, evaluate_refinement, both, results, lifts, "--few", 0, 3)
     rows = list(csv.DictReader((results / "results.csv").read_text().splitlines()))
     tested = [f"{who}/{simulated_operator.file_name('kind_hammer', n)}" for who in ("high", "middle") for n in (3, 4)]
-    methods = [(NETWORK, "0"), (PERSON, "0"), (evaluate_refinement.LIFTS, "0"), (BOTH, "0"), (BOTH, "3")]
+    alone = [(name, "0") for name in (NETWORK, PERSON, evaluate_refinement.LIFTS, evaluate_refinement.AGAIN)]
+    methods = [*alone, (BOTH, "0"), (BOTH, "3")]
     assert sorted((r["episode"], r["method"], r["shown"]) for r in rows) == sorted(
         (e, *m) for e in tested for m in methods
     )
@@ -247,6 +262,7 @@ def test_predictors_are_compared_and_the_study_reads_it(every, lifts, tmp_path, 
         assert of[BOTH, "0"][name]["meant_mm"] == safest["meant_mm"]
         assert of[BOTH, "0"][name]["lifted"] == safest["lifted"]
         assert float(of[PERSON, "0"][name]["position_mm"]) == 0.0 < float(of[PERSON, "0"][name]["meant_mm"])
+    assert any(float(of[evaluate_refinement.AGAIN, "0"][name]["meant_mm"]) > 0.0 for name in tested), "a whim"
     table = (results / "table.md").read_text()
     assert "n = 4 episodes in 2 scenes" in table
     assert "| taste, 3 shown - GG-CNN alone |" in table

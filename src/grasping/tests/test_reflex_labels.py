@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing.dummy
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -20,6 +21,7 @@ from grasping.lab.synthetic.samples import LabelSettings
 from grasping.network import weights
 from grasping.network.maps import PARALLEL, REFLEX
 from grasping.network.networks import NETWORKS
+from grasping.poses.gripper import GRIPPER
 
 CELL = samples.CELL_M
 N = 141
@@ -156,8 +158,8 @@ def test_the_margin_widens_the_opening_alone_and_as_far_as_the_hand_opens(margin
     wider_score, wider = across(BAR, hand=HAND._replace(margin=margin))
     assert wider_score == score
     assert wider == pytest.approx(min(opening + margin, 2.0 * HAND.preshape), abs=1e-6)
-    gripper = samples.GRIPPER
-    plain, more = (labels.grasps(heights(BAR), TABLE, CELL, g, 1) for g in (gripper, gripper._replace(margin=margin)))
+    gripper = GRIPPER
+    plain, more = (labels.grasps(heights(BAR), TABLE, CELL, g, 1) for g in (gripper, replace(gripper, margin=margin)))
     np.testing.assert_array_equal(plain.scores, more.scores)
     expected = np.where(plain.openings > 0.0, np.minimum(plain.openings + margin, gripper.opening), 0.0)
     np.testing.assert_allclose(more.openings, expected, atol=1e-6)

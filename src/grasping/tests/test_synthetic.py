@@ -9,11 +9,11 @@ from height_maps import boxes_on_table
 
 from common.errors import RigError
 from grasping.lab.synthetic import labels, random_urdfs, samples, scene, shapes, surroundings
+from grasping.poses.gripper import GRIPPER
 
 CELL = samples.CELL_M
 N = 120
 TABLE = np.full((N, N), 0.7)
-GRIPPER = samples.GRIPPER
 
 
 def heights(*boxes):

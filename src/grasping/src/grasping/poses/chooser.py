@@ -84,7 +84,7 @@ def choose(
 
 def lift_probabilities(network: LiftNetwork, of: ImageMaps, tried: Hypotheses) -> np.ndarray:
     """Returns the probabilities of lifts, shape (n,)."""
-    logits = lift_logits(network, features(tried, of.image, of.camera, of.frame)).astype(float)
+    logits = lift_logits(network, features(tried, of.image, of.camera, of.frame, network.gripper)).astype(float)
     found: np.ndarray = 1.0 / (1.0 + np.exp(-logits))
     return found
 

@@ -12,34 +12,36 @@ import numpy as np
 from common.camera_model import CameraModel
 from grasping.network.depth_image import NetworkImage
 from grasping.poses.candidates import LevelFrame
+from grasping.poses.gripper import Gripper
 from grasping.poses.hypotheses import Hypotheses, pixel_matrix
 
 BETWEEN = (-0.95, -0.65, -0.3, 0.0, 0.3, 0.65, 0.95)  # across, as fractions of half the opening
-BESIDE_M = (0.001, 0.005, 0.012)  # beyond a pad's face: of a finger 8 mm thick and its clearance
-ALONG_M = (-0.016, -0.008, 0.0, 0.008, 0.016)  # the breadth of a pad is 20 mm
+BESIDE = (0.125, 0.625, 1.5)  # beyond a pad's face, in thicknesses of a finger
+ALONG = (-0.8, -0.4, 0.0, 0.4, 0.8)  # in breadths of a finger
 DOWN_M = (-0.055, -0.035, -0.022, -0.014, -0.007, -0.002, 0.004)  # from the tips
 NEAR_M = 0.015  # distance from the surface that counts as 1
 AROUND_M = (-0.105, -0.075, -0.045, -0.015, 0.015, 0.045, 0.075, 0.105)
 FAR_M = 0.05
-REACH_M = 0.025  # from a grasp's origin to the tips, along the approach
-GROUND_M = 0.006  # the tips stop so high above the table
 LARGEST = 3.0  # of any feature
 SCALARS = 10
 
 
-FEATURES = (len(BETWEEN) + 2 * len(BESIDE_M)) * len(ALONG_M) * len(DOWN_M) + len(AROUND_M) ** 2 + SCALARS
+FEATURES = (len(BETWEEN) + 2 * len(BESIDE)) * len(ALONG) * len(DOWN_M) + len(AROUND_M) ** 2 + SCALARS
 
 
-def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
+def features(
+    of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: LevelFrame, gripper: Gripper
+) -> np.ndarray:
     """Returns the network's input for each hypothesis, shape (n, FEATURES), float32, about -1 to 1."""
-    n, half = len(of.T), 0.5 * of.opening[:, None]
-    across = np.concatenate([-half - BESIDE_M[::-1], half * BETWEEN, half + BESIDE_M], axis=1)  # shape (n, 13)
-    y, z = np.array(ALONG_M), REACH_M + np.array(DOWN_M)
+    n, half = len(of.T), 0.5 * np.maximum(of.opening, gripper.least)[:, None]
+    beside, reach = gripper.thickness * np.array(BESIDE), gripper.reach
+    across = np.concatenate([-half - beside[::-1], half * BETWEEN, half + beside], axis=1)  # shape (n, 13)
+    y, z = gripper.breadth * np.array(ALONG), reach + np.array(DOWN_M)
     R, down = of.T[:, :3, :3].astype(np.float32), frame.R[:, 2].astype(np.float32)
-    tips = of.T[:, :3, 3].astype(np.float32) + REACH_M * R[:, :, 2]
-    low = np.clip(GROUND_M - (frame.distance - tips @ down), 0.0, 2.0 * REACH_M)
+    tips = of.T[:, :3, 3].astype(np.float32) + reach * R[:, :, 2]
+    low = np.clip(gripper.ground - (frame.distance - tips @ down), 0.0, 2.0 * reach)
     tips = tips - (low / np.maximum(R[:, :, 2] @ down, 0.3))[:, None] * R[:, :, 2]
-    origin = tips - REACH_M * R[:, :, 2]
+    origin = tips - reach * R[:, :, 2]
     local = _behind((across, y[None], z[None]), R, origin, image, camera) / NEAR_M
     around = np.array(AROUND_M)[None]
     # In the plane across the vertical, turned with the line through the fingers.
@@ -64,7 +66,7 @@ def mirrored(values: np.ndarray, across: bool, along: bool) -> np.ndarray:
     """Returns the features of the mirrored scene: `across`: fingers exchanged; `along`: front and back exchanged."""
     n, wide = len(values), len(AROUND_M)
     cut = FEATURES - SCALARS - wide**2
-    local = values[:, :cut].reshape(n, -1, len(ALONG_M), len(DOWN_M))
+    local = values[:, :cut].reshape(n, -1, len(ALONG), len(DOWN_M))
     far, scalars = values[:, cut:-SCALARS].reshape(n, wide, wide), values[:, -SCALARS:].copy()
     if across:
         local, far = local[:, ::-1], far[:, ::-1]

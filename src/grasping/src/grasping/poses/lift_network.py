@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
+from common.config import parse
 from common.errors import RigError
 from grasping.network.maps import HANDS, PARALLEL
+from grasping.poses.gripper import GRIPPER, Gripper
 from grasping.poses.hand_view import FEATURES
 
 HIDDEN = (128, 64)
@@ -18,14 +21,14 @@ SCHEMA = 1
 
 
 class LiftNetwork(nn.Module):
-    """Returns the logit of a lift of features, shape (n, FEATURES) to (n,), of the `hand` that it was trained for, and
-    of the maps of the GG-CNN whose file has the SHA-256 `ggcnn`."""
+    """Returns the logit of a lift of features, shape (n, FEATURES) to (n,), of the `hand` that it was trained for, as
+    the `gripper` describes it, and of the maps of the GG-CNN whose file has the SHA-256 `ggcnn`."""
 
     temperature: torch.Tensor
 
-    def __init__(self, hand: str = PARALLEL, ggcnn: str = "") -> None:
+    def __init__(self, hand: str = PARALLEL, ggcnn: str = "", gripper: Gripper = GRIPPER) -> None:
         super().__init__()
-        self.hand, self.ggcnn = hand, ggcnn
+        self.hand, self.ggcnn, self.gripper = hand, ggcnn, gripper
         first, second = HIDDEN
         self.layers = nn.Sequential(
             nn.Linear(FEATURES, first), nn.ReLU(), nn.Linear(first, second), nn.ReLU(), nn.Linear(second, 1)
@@ -45,7 +48,7 @@ def lift_logits(network: LiftNetwork, features: np.ndarray) -> np.ndarray:
 
 
 def saved(network: LiftNetwork) -> dict[str, Any]:
-    of = {"hand": network.hand, "ggcnn": network.ggcnn}
+    of = {"hand": network.hand, "ggcnn": network.ggcnn, "gripper": asdict(network.gripper)}
     return {"schema": SCHEMA, "features": FEATURES, **of, "state": network.state_dict()}
 
 
@@ -58,7 +61,7 @@ def loaded(data: bytes) -> LiftNetwork:
         hand, ggcnn = content["hand"], content["ggcnn"]
         if hand not in HANDS or not isinstance(ggcnn, str):
             raise RigError(f"It is of the hand {hand!r} and of GG-CNN's file {ggcnn!r}.")
-        network = LiftNetwork(hand, ggcnn)
+        network = LiftNetwork(hand, ggcnn, parse(Gripper, content.get("gripper", {}), "gripper/"))
         network.load_state_dict(content["state"])
     except RigError as error:
         raise RigError(f"The weights are not of this network: {error}") from error

@@ -103,7 +103,7 @@ def options(network: LiftNetwork, of: ImageMaps, most_open: float) -> Options:
     if not n:
         return Options(found, np.zeros((0, len(SD))), np.zeros(0))
     upright = poses(found, np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.clip(found.openings, 0.01, most_open), of)
-    logits = lift_logits(network, features(upright, of.image, of.camera, found.frame))
+    logits = lift_logits(network, features(upright, of.image, of.camera, found.frame, network.gripper))
     logits = np.clip(logits, -LARGEST_LOGIT, LARGEST_LOGIT)
     seen = np.column_stack([found.tastes, logits / LARGEST_LOGIT])
     return Options(found, seen, QUALITY_WORTH * found.quality + LIFT_WORTH * logits)

@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from common.camera_model import CameraModel
-from grasping.lab.synthetic.labels import Gripper
 from grasping.network.depth_image import NetworkImage
 from grasping.poses.candidates import LevelFrame, image_rays
 from grasping.poses.chooser import ImageMaps
+from grasping.poses.gripper import Gripper
 from grasping.poses.hypotheses import OBJECT_M, upright
 
 SAMPLES, TURNS = 150, 8

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+from collections import defaultdict
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -52,6 +54,15 @@ def write(path: Path, make: Callable[[Task], dict[str, Any]], tasks: Sequence[Ta
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         scenes = list(tqdm(pool.imap(make, tasks), total=len(tasks), unit="scene"))
     path.write_text(json.dumps({"schema": SCHEMA, "scenes": scenes}) + "\n")
+
+
+@lru_cache(maxsize=1)
+def results_by_scene(path: Path) -> dict[tuple[str, int], list[dict[str, Any]]]:
+    """Returns `read_results` by split and scene."""
+    found = defaultdict(list)
+    for row in read_results(path):
+        found[row["split"], row["scene"]].append(row)
+    return found
 
 
 def read_results(path: Path) -> list[dict[str, Any]]:

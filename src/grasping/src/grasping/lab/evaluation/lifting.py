@@ -10,8 +10,8 @@ import numpy as np
 
 from common import lift_trial
 from common.rotations import quaternion_from_rotation
-from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
+from grasping.poses.gripper import Gripper
 
 FINGER_M = 0.07  # length of a finger
 START_M = 0.12  # the hand starts so far before the grasp

@@ -17,10 +17,11 @@ from common.poses import pose
 from common.rotations import rotation_about
 from grasping.lab.evaluation.lifting import lift, nearest_object
 from grasping.lab.synthetic import labels
-from grasping.lab.synthetic.samples import FOCAL_PX, GRIPPER, LabelSettings, SceneView, hand_grasps, view
+from grasping.lab.synthetic.samples import FOCAL_PX, LabelSettings, SceneView, hand_grasps, view
 from grasping.network.depth_image import CROP_SIDE, NETWORK_SIDE, Crop, NetworkImage, prepare
 from grasping.network.maps import PARALLEL, Maps, Peak, peaks
 from grasping.pipeline.projection import project_grasp
+from grasping.poses.gripper import GRIPPER
 
 MAX_ANGLE_RAD = np.pi / 6.0
 CROP = Crop(0, 0, CROP_SIDE)

@@ -25,6 +25,7 @@ from common.statistics import proportion
 from grasping.lab.evaluation.tables import markdown_table
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic import pose_labels, samples
+from grasping.poses.gripper import GRIPPER, GRIPPER_HELP, Gripper, read_gripper
 from grasping.poses.hypotheses import MAX_TILT_RAD
 
 KINDS = {"tilted up to 8 deg": 0.14, "tilted up to 45 deg": MAX_TILT_RAD}
@@ -40,6 +41,7 @@ class PoseTask(NamedTuple):
     objects: int | None  # in the scene, None: as its split has it
     most: int
     draws: int
+    gripper: Gripper
 
 
 def label(task: PoseTask) -> dict[str, np.ndarray]:
@@ -50,7 +52,8 @@ def label(task: PoseTask) -> dict[str, np.ndarray]:
     path = task.folder / f"{task.split}_{settings}_{task.number:06d}.npz"
     if not path.exists():
         scene = samples.settled(task.split, task.number, task.objects)
-        made = pose_labels.labelled_scene(task.split, task.number, scene, tuple(KINDS.values()), task.most, task.draws)
+        how = tuple(KINDS.values()), task.most, task.draws, task.gripper
+        made = pose_labels.labelled_scene(task.split, task.number, scene, *how)
         arrays = {f"{name}_{i}": array for i, of in enumerate(made.grasps) for name, array in of._asdict().items()}
         part = path.with_suffix(".part.npz")
         np.savez_compressed(part, target=made.target, friction=made.friction, **arrays)
@@ -84,11 +87,14 @@ def main() -> None:
     parser.add_argument("--objects", type=whole(1, 10), help="in a scene, where its surroundings do not say how many")
     parser.add_argument("--most", type=whole(1, 1000), default=12, help="grasps of each kind in a scene, default 12")
     parser.add_argument("--draws", type=whole(1, 100), default=3, help="errors of the arm for each, default 3")
+    parser.add_argument("--gripper", type=Path, help=GRIPPER_HELP)
     parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many scenes at a time")
     given = parser.parse_args()
     numbers = range(given.first, given.first + given.scenes)
-    tasks = [PoseTask(given.folder, given.split, n, given.objects, given.most, given.draws) for n in numbers]
     try:
+        gripper = GRIPPER if given.gripper is None else read_gripper(given.gripper)
+        how = given.objects, given.most, given.draws, gripper
+        tasks = [PoseTask(given.folder, given.split, n, *how) for n in numbers]
         given.folder.mkdir(parents=True, exist_ok=True)
         with multiprocessing.get_context("spawn").Pool(given.processes) as pool:
             found = list(tqdm(pool.imap(label, tasks), total=len(tasks), unit="scene"))

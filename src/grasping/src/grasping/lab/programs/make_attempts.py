@@ -9,7 +9,7 @@ makes the shards.
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
+from dataclasses import astuple
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +30,7 @@ from grasping.lab.synthetic.pose_labels import REASONS
 from grasping.network import weights
 from grasping.network.maps import HANDS, PARALLEL
 from grasping.network.networks import MapNetwork, frozen
+from grasping.poses.gripper import GRIPPER, GRIPPER_HELP, GRIPPERS, Gripper, read_gripper
 from grasping.poses.hypotheses import Hypotheses
 from grasping.poses.lift_network import LiftNetwork, loaded
 
@@ -48,6 +49,7 @@ class AttemptTask(NamedTuple):
     most: int
     lifts: Path | None
     hand: str = PARALLEL
+    gripper: Gripper = GRIPPER
     results: Path | None = None  # of the rig's hand
 
 
@@ -59,15 +61,6 @@ def network(file: Path) -> MapNetwork:
 @lru_cache(maxsize=8)
 def lift_network(file: Path) -> LiftNetwork:
     return loaded(file.read_bytes())
-
-
-@lru_cache(maxsize=1)
-def results(file: Path) -> dict[tuple[str, int], list[dict[str, Any]]]:
-    """Returns the results of a file by split and scene."""
-    found = defaultdict(list)
-    for row in lift_file.read_results(file):
-        found[row["split"], row["scene"]].append(row)
-    return found
 
 
 def make_shard(task: AttemptTask) -> None:
@@ -86,7 +79,7 @@ def make_shard(task: AttemptTask) -> None:
     valid = np.stack([one.image.valid for one in made])
     ggcnn = weights.checked_sha256(task.weights.read_bytes(), None)
     arrays.update(reason=np.array(reasons, np.uint8), depth=depth, valid=valid, image=image)
-    np.savez_compressed(part, hand=task.hand, ggcnn=ggcnn, **arrays)
+    np.savez_compressed(part, hand=task.hand, gripper=astuple(task.gripper), ggcnn=ggcnn, **arrays)
     part.replace(task.path)
 
 
@@ -103,13 +96,13 @@ def exported(task: tuple[AttemptTask, int]) -> dict[str, Any]:
 
 def _attempts(task: AttemptTask, number: int) -> Attempts:
     lifts = None if task.lifts is None else lift_network(task.lifts)
-    return attempts(task.split, number, network(task.weights), task.most, task.hand, lifts)
+    return attempts(task.split, number, network(task.weights), task.most, task.gripper, lifts)
 
 
 def _reasons(task: AttemptTask, number: int, made: Attempts) -> list[str]:
     if task.results is None:
-        return lifted(made)
-    rows = results(task.results)[task.split, number]
+        return lifted(made, task.gripper)
+    rows = lift_file.results_by_scene(task.results)[task.split, number]
     if [row["width"] for row in rows] != made.tried.opening.tolist():
         raise RigError(f"{task.results} is not of these attempts in scene {number} of {task.split}.")
     return [row["reason"] for row in rows]
@@ -131,16 +124,20 @@ def main() -> None:
     parser.add_argument("--first", type=whole(0, 10**9), default=0, help="number of the first scene, default 0")
     parser.add_argument("--lifts", type=Path, help="a network of lifts: attempts are those that it believes in")
     parser.add_argument("--hand", choices=HANDS, default=PARALLEL, help=f"that lifts, default {PARALLEL}")
+    parser.add_argument("--gripper", type=Path, help=GRIPPER_HELP)
     parser.add_argument("--export", type=Path, metavar="FILE", help="write the grasps of the rig's hand there instead")
     parser.add_argument("--results", type=Path, metavar="FILE", help="what lift_grasps.py said of them")
     parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many shards at a time")
     given = parser.parse_args()
     if (given.hand == PARALLEL) != (given.export is given.results is None) or (given.export and given.results):
         parser.error("With --hand reflex, and only then, either --export or --results is needed.")
+    if given.hand != PARALLEL and given.gripper is not None:
+        parser.error("--gripper describes a parallel gripper, not the rig's hand.")
     if given.scenes % SHARD:
         parser.error(f"--scenes is {given.scenes}, but must be a multiple of {SHARD}.")
     try:
         weights.load(given.weights.read_bytes())
+        gripper = GRIPPERS[given.hand] if given.gripper is None else read_gripper(given.gripper)
         if given.lifts is not None:
             loaded(given.lifts.read_bytes())
     except (OSError, RigError) as error:
@@ -148,7 +145,7 @@ def main() -> None:
     kind = f"{given.split}_{given.most}" + ("" if given.lifts is None else f"_{BELIEVED}")
     tasks = [
         AttemptTask(given.folder / f"{kind}_{first:06d}.npz", given.split, range(first, first + SHARD),
-                    given.weights.absolute(), given.most, given.lifts, given.hand, given.results)
+                    given.weights.absolute(), given.most, given.lifts, given.hand, gripper, given.results)
         for first in range(given.first, given.first + given.scenes, SHARD)
     ]  # fmt: skip
     if given.export is not None:

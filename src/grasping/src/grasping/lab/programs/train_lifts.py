@@ -25,8 +25,10 @@ from grasping.lab.programs.make_attempts import BELIEVED
 from grasping.lab.programs.train_refinement import read_episodes
 from grasping.lab.training.lift_examples import attempt
 from grasping.network.depth_image import NetworkImage
+from grasping.network.maps import PARALLEL
 from grasping.poses import hand_view
 from grasping.poses.candidates import image_rays, level_frame
+from grasping.poses.gripper import GRIPPER, Gripper
 from grasping.poses.hypotheses import Hypotheses
 from grasping.poses.lift_network import LiftNetwork, saved
 
@@ -38,6 +40,7 @@ class LiftData(NamedTuple):
     lifted: np.ndarray  # shape (n,), float32, 0 or 1
     hand: str  # that tried them
     ggcnn: str  # SHA-256 of the file of GG-CNN, whose maps the features are of
+    gripper: Gripper  # what the hand is like
 
 
 def read(paths: Sequence[Path]) -> LiftData:
@@ -45,7 +48,8 @@ def read(paths: Sequence[Path]) -> LiftData:
     parts, lifted, origins = [], [], set()
     for path in tqdm(paths, unit="shard", desc="features"):
         with np.load(path, allow_pickle=False) as arrays:
-            origins.add((str(arrays["hand"]), str(arrays["ggcnn"])))
+            gripper = Gripper(*arrays["gripper"].tolist()) if "gripper" in arrays else GRIPPER
+            origins.add((str(arrays["hand"]), str(arrays["ggcnn"]), gripper))
             for i, counted in enumerate(arrays["depth"]):
                 of = arrays["image"] == i
                 if not of.any():
@@ -54,10 +58,10 @@ def read(paths: Sequence[Path]) -> LiftData:
                 image = NetworkImage(CROP, depth, depth, arrays["valid"][i], float(depth.mean()))
                 tried = Hypotheses(arrays["T"][of], arrays["opening"][of], arrays["seen"][of])
                 frame = level_frame(image, image_rays(image, camera()))
-                parts.append(hand_view.features(tried, image, camera(), frame))
+                parts.append(hand_view.features(tried, image, camera(), frame, gripper))
                 lifted.append(arrays["reason"][of] == 0)
     if len(origins) > 1:
-        raise ValueError(f"they are of several hands or of several GG-CNN, {sorted(origins)}.")
+        raise ValueError(f"they are of several hands or of several GG-CNN: {origins}.")
     return LiftData(np.concatenate(parts), np.concatenate(lifted).astype(np.float32), *origins.pop())
 
 
@@ -65,7 +69,11 @@ def with_episodes(data: LiftData, folders: Sequence[Path]) -> LiftData:
     """Returns the attempts with those of a rig's episodes in and below folders; raises RigError for a folder without
     episodes of grasps on the same GG-CNN's maps."""
     for folder in folders:
-        own = [one for one in (attempt(n.episode, data.ggcnn) for n in read_episodes(folder)) if one is not None]
+        own = [
+            one
+            for one in (attempt(n.episode, data.ggcnn, data.gripper) for n in read_episodes(folder))
+            if one is not None
+        ]
         if not own:
             raise RigError(f"{folder} holds no grasp that was tried with the GG-CNN {data.ggcnn[:12]}...")
         values, held = zip(*own)
@@ -79,7 +87,7 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
     batch, decay = 256, 1e-3
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
-    network = LiftNetwork(data.hand, data.ggcnn)
+    network = LiftNetwork(data.hand, data.ggcnn, data.gripper)
     optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
     steps = epochs * -(-len(data.lifted) // batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
@@ -91,7 +99,9 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
         network.train()
         losses = []
         for chosen in np.array_split(rng.permutation(len(data.lifted)), -(-len(data.lifted) // batch)):
-            mirrored = hand_view.mirrored(data.features[chosen], bool(rng.integers(2)), bool(rng.integers(2)))
+            across, along = bool(rng.integers(2)), bool(rng.integers(2))
+            # Exchanging unlike fingers makes another hand.
+            mirrored = hand_view.mirrored(data.features[chosen], across and data.hand == PARALLEL, along)
             noisy = mirrored + rng.normal(0.0, 0.05, mirrored.shape)
             optimiser.zero_grad()
             loss = loss_of(network(torch.from_numpy(noisy.astype(np.float32))), torch.from_numpy(data.lifted[chosen]))

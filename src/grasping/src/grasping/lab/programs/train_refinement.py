@@ -20,7 +20,6 @@ from tqdm import tqdm
 from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.dataset.episode import Episode
-from grasping.lab.synthetic.samples import GRIPPER
 from grasping.lab.training import lift_examples
 from grasping.network.depth_image import VIEWS
 from grasping.network.weights import checked_sha256
@@ -96,8 +95,9 @@ def learned_by_kind(kinds: Mapping[str, Iterable[Named]], network: LiftNetwork) 
         shown = []
         for one in named:
             of = lift_examples.image_maps(one.episode.frame(len(one.episode) - 1))
-            grasp = None if of is None else lift_examples.shown(one.episode, options(network, of, GRIPPER.opening))
-            shown += [] if grasp is None else [grasp]
+            if of is not None:
+                grasp = lift_examples.shown(one.episode, options(network, of, network.gripper.opening))
+                shown += [] if grasp is None else [grasp]
         if not shown:
             raise RigError(f"In none of the episodes of {name} the camera sees the operator's grasp.")
         found[name] = learned(shown), len(shown)

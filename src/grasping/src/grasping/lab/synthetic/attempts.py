@@ -12,14 +12,13 @@ from common.poses import inverse, pose
 from grasping.lab.evaluation import trials
 from grasping.lab.evaluation.lifting import lift
 from grasping.lab.synthetic.full_poses import PoseSampler
-from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.pose_labels import meant
-from grasping.lab.synthetic.samples import GRIPPER, GRIPPERS, SPLITS, SceneView, view
+from grasping.lab.synthetic.samples import SPLITS, SceneView, view
 from grasping.lab.synthetic.scene import HeapScene
 from grasping.network.depth_image import NetworkImage, prepare
-from grasping.network.maps import PARALLEL
 from grasping.network.networks import MapNetwork, infer
 from grasping.poses.chooser import ImageMaps, choose
+from grasping.poses.gripper import Gripper
 from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, Turn, hypotheses, joined, varied
 from grasping.poses.lift_network import LiftNetwork
 
@@ -42,14 +41,13 @@ def image_maps(seen: SceneView, network: MapNetwork) -> ImageMaps:
 
 
 def attempts(
-    split: str, number: int, network: MapNetwork, most: int, hand: str = PARALLEL, lifts: LiftNetwork | None = None
+    split: str, number: int, network: MapNetwork, most: int, gripper: Gripper, lifts: LiftNetwork | None = None
 ) -> Attempts:
     """Returns at most `most` attempts in a scene: of GGCNN's best places, of any, and of those that the shapes offer,
-    and of poses near all of these; with a network of lifts, of those that it believes in. `hand`: of `maps.HANDS`."""
+    and of poses near all of these; with a network of lifts, of those that it believes in."""
     rng = np.random.default_rng([66, SPLITS[split].number, number])
     seen = view(split, number)
     of = image_maps(seen, network)
-    gripper = GRIPPERS[hand]
     tried = _drawn(rng, seen, of, most, gripper) if lifts is None else _believed(rng, of, most, lifts, gripper)
     T_world_camera = pose(seen.camera.R, seen.camera.position)
     missed, frictions, targets = [], [], []
@@ -62,11 +60,11 @@ def attempts(
     return Attempts(seen.scene, of.image, tried, *at)
 
 
-def lifted(of: Attempts) -> list[str]:
-    """Returns what comes of each attempt with the parallel gripper, of `pose_labels.REASONS`."""
+def lifted(of: Attempts, gripper: Gripper) -> list[str]:
+    """Returns what comes of each attempt with a parallel gripper, of `pose_labels.REASONS`."""
     each = zip(of.T_world_grasp, of.tried.opening, of.friction, of.target)
     return [
-        lift(of.scene, T, opening, GRIPPER, friction, int(target), shake=True).reason
+        lift(of.scene, T, opening, gripper, friction, int(target), shake=True).reason
         for T, opening, friction, target in each
     ]
 

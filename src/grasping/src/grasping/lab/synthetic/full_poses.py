@@ -16,8 +16,8 @@ import numpy as np
 from common.poses import pose
 from common.rotations import quaternion_from_rotation
 from grasping.lab.evaluation.lifting import FINGER_M
-from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
+from grasping.poses.gripper import Gripper
 
 DEPTHS_M = (0.003, 0.010, 0.020)  # of the tips beyond the line through both contacts
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -13,24 +13,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from grasping.poses.gripper import Gripper
+
 LEVEL_M = 0.005  # distance between the heights at which the map is cut
 LOWEST_OBJECT_M = 0.008  # what stands out of the table by less is table
 FREE = 1e3  # depth of what is outside the map [m]
-
-
-class Gripper(NamedTuple):
-    """A parallel gripper; all in metres but the friction."""
-
-    opening: float = 0.10  # between the pads when open
-    thickness: float = 0.008  # of a finger along the closing direction
-    breadth: float = 0.020  # of a finger across it
-    reach: float = 0.025  # from the surface down to the tips
-    ground: float = 0.006  # lowest height of the tips above the table
-    clearance: float = 0.005  # on each side between object and pad when the hand comes down
-    palm: float = 0.060  # from the tips to the palm
-    friction: float = 0.5  # coefficient that a grasp may count on
-    margin: float = 0.0  # added to the opening of a label, as far as the gripper opens
-    least: float = 0.0  # between the pads when the hand comes down
 
 
 class Grasps(NamedTuple):

@@ -11,8 +11,9 @@ from grasping.lab.evaluation.lifting import lift, nearest_object
 from grasping.lab.evaluation.trials import FRICTION, USUAL, miss
 from grasping.lab.synthetic import surroundings
 from grasping.lab.synthetic.full_poses import FullPose, PoseSampler
-from grasping.lab.synthetic.samples import GRIPPER, SPLITS
+from grasping.lab.synthetic.samples import SPLITS
 from grasping.lab.synthetic.scene import HeapScene
+from grasping.poses.gripper import Gripper
 
 REASONS = (LIFTED, *FAILURES)
 
@@ -50,7 +51,7 @@ def meant(split: str, scene: HeapScene, T_world_grasp: np.ndarray) -> int:
 
 
 def labelled_scene(
-    split: str, number: int, scene: HeapScene, tilts: tuple[float, ...], most: int, draws: int
+    split: str, number: int, scene: HeapScene, tilts: tuple[float, ...], most: int, draws: int, gripper: Gripper
 ) -> LabelledScene:
     """Returns the labels of at most `most` grasps for each of the greatest `tilts` [rad]; friction, target and errors
     depend on the scene's number alone."""
@@ -58,11 +59,13 @@ def labelled_scene(
     rng = np.random.default_rng([88, SPLITS[split].number, number])
     target, friction = target_of(split, scene, rng), float(rng.uniform(*FRICTION))
     errors = [miss(rng, USUAL) for _ in range(draws)]
-    sampler = PoseSampler(scene, GRIPPER)
+    sampler = PoseSampler(scene, gripper)
     grasps = []
     for tilt in tilts:
         found = [one for one, _ in zip(sampler.free(rng, target, tries, tilt), range(most))]
-        numbers = [[REASONS.index(_tried(scene, one, error, friction, target)) for error in errors] for one in found]
+        numbers = [
+            [REASONS.index(_tried(scene, one, error, friction, target, gripper)) for error in errors] for one in found
+        ]
         grasps.append(
             PoseLabels(
                 np.array([one.T_world_grasp for one in found]).reshape(-1, 4, 4),
@@ -74,5 +77,5 @@ def labelled_scene(
     return LabelledScene(target, friction, tuple(grasps))
 
 
-def _tried(scene: HeapScene, of: FullPose, error: np.ndarray, friction: float, target: int) -> str:
-    return lift(scene, of.T_world_grasp @ error, of.opening, GRIPPER, friction, target, shake=True).reason
+def _tried(scene: HeapScene, of: FullPose, error: np.ndarray, friction: float, target: int, gripper: Gripper) -> str:
+    return lift(scene, of.T_world_grasp @ error, of.opening, gripper, friction, target, shake=True).reason

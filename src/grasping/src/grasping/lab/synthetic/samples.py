@@ -6,6 +6,7 @@ and Elberink (2012); errors are alike in neighbouring pixels, because the camera
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -15,7 +16,8 @@ import numpy as np
 from common.poses import inverse, pose
 from grasping.lab.synthetic import labels, random_urdfs, reflex_labels, scene, shapes, surroundings
 from grasping.network import depth_image
-from grasping.network.maps import PARALLEL, REFLEX, WIDTH_SCALE_PX
+from grasping.network.maps import PARALLEL, WIDTH_SCALE_PX
+from grasping.poses.gripper import GRIPPER, Gripper
 
 FOCAL_PX = 570.3  # focal length of the 640 x 480 image
 BASELINE_M = 0.075  # between projector and camera, along the rows
@@ -23,13 +25,6 @@ NEAREST_M = 0.45
 SCALE_ERROR = 0.005  # of the distances of one camera, standard deviation
 CELL_M = 0.0025
 CELLS = 168
-GRIPPER = labels.Gripper()
-GRIPPERS = {
-    PARALLEL: GRIPPER,
-    REFLEX: GRIPPER._replace(opening=0.116, least=0.116, thickness=0.020, breadth=0.068, reach=0.041, friction=1.1),
-}
-"""What poses are sampled for; the ReFlex as two broad fingers, which always come down half closed: more of them meet
-something than do with the hand."""
 
 
 class Split(NamedTuple):
@@ -208,15 +203,13 @@ def _settled(split: str, seed: int, count: int | None) -> tuple[np.random.Genera
     return rng, found
 
 
-def hand_grasps(
-    seen: SceneView, settings: LabelSettings = DEFAULT_LABELS, gripper: labels.Gripper = GRIPPER
-) -> SceneGrasps:
+def hand_grasps(seen: SceneView, settings: LabelSettings = DEFAULT_LABELS, gripper: Gripper = GRIPPER) -> SceneGrasps:
     """Returns the grasps of a hand: the parallel `gripper` comes along the camera's axis, the ReFlex from above."""
     side = depth_image.NETWORK_SIDE
     exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
     focal = seen.camera.focal * side / depth_image.CROP_SIDE
     if settings.hand == PARALLEL:
-        found = labels.grasps(seen.surface, seen.table, CELL_M, gripper._replace(margin=settings.margin))
+        found = labels.grasps(seen.surface, seen.table, CELL_M, replace(gripper, margin=settings.margin))
         return SceneGrasps(found, seen.surface, None, exact, focal)
     above = scene.straight_above(seen.camera)
     model = mujoco.MjModel.from_xml_string(seen.scene.xml)

@@ -21,11 +21,12 @@ from grasping.lab.dataset.episode import TELEOPERATION, Episode, Metadata, angle
 from grasping.lab.evaluation import trials
 from grasping.lab.evaluation.lifting import lift
 from grasping.lab.synthetic import labels, samples, scene
-from grasping.lab.synthetic.samples import CELL_M, GRIPPER
+from grasping.lab.synthetic.samples import CELL_M
 from grasping.network import depth_image, maps
 from grasping.network.depth_image import CAMERA
 from grasping.network.maps import gaussian
 from grasping.network.networks import MapNetwork, infer
+from grasping.poses.gripper import GRIPPER
 
 DOWN = np.array([0.0, 0.0, -1.0])
 SMOOTHING = maps.Smoothing(quality=2.0)
@@ -227,11 +228,11 @@ def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.r
     return float(np.clip(wanted, needed, GRIPPER.opening))
 
 
-def choose(of: EpisodeScene, who: SimulatedOperator, steady: bool = False) -> Chosen | None:
+def choose(of: EpisodeScene, who: SimulatedOperator, steady: bool = False, time: int = 0) -> Chosen | None:
     """Returns the operator's grasp in a scene, always the same; None where nothing holds. `steady`: without bias,
-    twist and tremor, which is what the operator meant.
+    twist and tremor, which is what the operator meant; another `time` the whim is another.
     """
-    rng = np.random.default_rng([97, of.number])
+    rng = np.random.default_rng([97, of.number, time] if time else [97, of.number])
     best = liked(who, of.features, of.found, rng)
     if best is None:
         return None
@@ -268,18 +269,22 @@ def situation(split: str, number: int) -> EpisodeScene:
     return EpisodeScene(number, seen, found, cell_features(seen), friction, inverse(base_in_world(seen.camera)))
 
 
-def meant(of: EpisodeScene, made: Episode) -> np.ndarray:
-    """Returns what the operator of an episode meant, T_base_grasp, shape (4, 4) [m]: no miss and no tremor."""
+def meant(of: EpisodeScene, made: Episode, time: int = 0) -> np.ndarray:
+    """Returns what the operator of an episode meant, T_base_grasp, shape (4, 4) [m]: no miss and no tremor; another
+    `time` than the episode: what the same operator would have."""
     person = made.metadata.configuration["person"]
-    found = choose(of, SimulatedOperator(**{**person, "bias": tuple(person["bias"])}), steady=True)
+    found = choose(of, SimulatedOperator(**{**person, "bias": tuple(person["bias"])}), steady=True, time=time)
     assert found is not None, "an episode is of a grasp"
     return found.T_base_grasp
 
 
-def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = GRIPPER.opening) -> bool:
-    """Returns whether the gripper, open by `width` [m], lifts something there."""
+def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = GRIPPER.opening, hard: bool = False) -> bool:
+    """Returns whether the gripper, open by `width` [m], lifts something there; `hard`: with the arm's error, and holds
+    it through a shake."""
     T_world_grasp = inverse(of.T_base_world) @ T_base_grasp
-    return lift(of.view.scene, T_world_grasp, width, GRIPPER, of.friction).lifted
+    if hard:
+        T_world_grasp = T_world_grasp @ trials.drawn(of.number, trials.USUAL)[1]
+    return lift(of.view.scene, T_world_grasp, width, GRIPPER, of.friction, shake=hard).lifted
 
 
 def camera_pose(of: EpisodeScene) -> np.ndarray:

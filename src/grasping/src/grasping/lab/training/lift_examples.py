@@ -9,6 +9,7 @@ from grasping.lab.dataset.episode import SHOWN, Episode, EpisodeFrame
 from grasping.lab.dataset.labels import tilt_and_angle, windowed
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.poses.chooser import ImageMaps
+from grasping.poses.gripper import Gripper
 from grasping.poses.hand_view import features
 from grasping.poses.hypotheses import pixels_of
 from grasping.poses.taste import Options, Shown
@@ -24,7 +25,7 @@ def image_maps(frame: EpisodeFrame) -> ImageMaps | None:
     return ImageMaps.of_output(image, windowed(frame.camera, frame.crop), output)
 
 
-def attempt(episode: Episode, ggcnn: str) -> tuple[np.ndarray, bool] | None:
+def attempt(episode: Episode, ggcnn: str, gripper: Gripper) -> tuple[np.ndarray, bool] | None:
     """Returns the features of an episode's grasp, shape (FEATURES,), and whether it held, seen from the frame in which
     the hand was farthest away. None where nothing was tried, the camera saw nothing, or the maps are not of GG-CNN's
     file of that SHA-256. A hand whose opening is unknown was as open as GG-CNN says there.
@@ -36,7 +37,7 @@ def attempt(episode: Episode, ggcnn: str) -> tuple[np.ndarray, bool] | None:
         return None
     rows, columns, scale = pixels_of(T[:, :3, 3], of.image, of.camera)
     opening = np.where(np.isnan(frame.opening), of.maps.width[rows, columns] * scale, frame.opening)
-    return features(of.hypotheses(T, opening), of.image, of.camera, of.frame)[0], episode.held
+    return features(of.hypotheses(T, opening), of.image, of.camera, of.frame, gripper)[0], episode.held
 
 
 def shown(episode: Episode, given: Options) -> Shown | None:
