@@ -59,8 +59,10 @@ class Bench:
         self.loop = self.make()
         self.controller = Controller(arm, self.loop)
         self.mode = "starting"
-        self.arm, self.control_on, self.enable_count, self.off_count, self.payload = arm, True, 1, 0, 0.0
-        self.paused = False
+        self.arm, self.control_on, self.enable_count, self.stop_count, self.payload = arm, True, 1, 0, 0.0
+        self.paused, self.stop_because = False, "control is off"
+        self.hand = True  # whether the operator has one
+        self.move = None  # that a program asks for
 
     def freeze(self, *spans):
         """Lets the robot's controller stand still in the given spans of time [s]."""
@@ -109,19 +111,23 @@ class Bench:
         now = clock.monotonic()
         T = shifted(0.0, 0.03 * np.sin(0.8 * now), 0.0)
         # The operator brings the hand in when the arm is at home, as the status asks for.
-        shown = self.mode in ("home", "pick_up", "servo")
+        shown = self.hand and self.mode in ("home", "pick_up", "servo")
         desired = DesiredFrame(T, CLOCK + round(now, 2)) if shown else None
-        return Inputs(desired, CLOCK + now, self.switches())
+        return Inputs(desired, CLOCK + now, self.switches(), self.move)
 
     def switches(self):
         return SwitchState(
-            self.control_on, self.enable_count, payload=self.payload, off_count=self.off_count, paused=self.paused
+            *(self.control_on, self.enable_count),
+            payload=self.payload,
+            stop_count=self.stop_count,
+            stop_because=self.stop_because,
+            paused=self.paused,
         )
 
     def switch(self, on):
         self.control_on = on
         self.enable_count += on
-        self.off_count += not on
+        self.stop_count += not on
 
     def _stand_by(self, error):
         self.control_on, self.mode = False, "stopped"

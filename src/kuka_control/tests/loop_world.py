@@ -58,8 +58,10 @@ class FakeArm(Arm):
 
     `shift`: its joints are measured so much off [rad]; `frozen`: they are measured there. `touches`: a tuple of
     the external torques at which its PTP motion ends, shape (7,) [Nm], or None; `ranges`: in which it continues.
-    `stopped`: why the robot stops it.
+    `stopped`: why the robot stops it; `abilities`: of the robot's application.
     """
+
+    abilities = frozenset()
 
     def __init__(self):
         self.speed = 1.0
@@ -128,6 +130,10 @@ class FakeArm(Arm):
         self.commands.append(("stop_servo",))
         self._refuse("stop_servo")
         self.mode, self.goal = "idle", self.q
+
+    def stop(self):
+        self.commands.append(("stop",))
+        self.stopped = "the client"
 
     def close(self):
         self.mode = "closed"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from link_world import bench
@@ -10,11 +12,12 @@ from loop_world import rig
 from common import clock
 from common.errors import ConfigError
 from kst import ApplicationSettings
+from kuka_control.loop.moves import MoveGoal, MovePlanner, MoveState
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.switches import Switches
 
 KNOWN = ApplicationSettings(tool_mass=1.12, tool_centre=(-0.022, 0.0, 0.0727))
-OF_TOOLBOX = {"jp", "jpJP", "jpExT", "jpMT", "jpEEfP", "jpEEfFrelEEF", "getJointsPositions", "Torques_ext_J"}
+CANCELLED = "The program cancelled the motion."
 
 
 def events(one, seconds):
@@ -71,7 +74,7 @@ def test_control_off_stops_a_motion_and_nothing_moves_until_it_is_asked_for():
     with bench(application=KNOWN) as one:
         homing(one).switch(False)
         step, said = events(one, 1.0)
-        assert step.mode == "stopped" and "stopped the motion to home: it was asked to." in step.reason
+        assert step.mode == "stopped" and "stopped the motion to home: control is off." in step.reason
         assert "The robot says: the motion was stopped by the client." in said
         assert at_rest(one)
         events(one, 2.0)
@@ -212,7 +215,7 @@ def test_switches_say_what_control_off_does():
     switches = Switches()
     switches.report("homing", None, stops=True)
     assert "the robot stops the arm" in switches.set_control(False).message
-    assert switches.now.off_count == 1
+    assert switches.now.stop_count == 1
     switches.report("home", None)
     assert switches.set_control(False).message == "Control is off already."
 
@@ -247,3 +250,82 @@ def test_a_stop_that_hangs_does_not_delay_the_end_of_the_controller(virtual_grap
     assert one._end_at_once(None)[0]
     ((seconds, code),) = ended
     assert seconds == pytest.approx(services.ANSWER_S, abs=0.01) and code == 2
+
+
+def test_a_released_enabling_device_stops_a_motion_and_control_stays_on():
+    with bench(application=KNOWN) as one:
+        homing(one).stop_count += 1
+        one.stop_because = "the enabling device was released"
+        step, _ = events(one, 1.0)
+        assert step.mode == "stopped" and "stopped the motion to home: the enabling device was released." in step.reason
+        assert at_rest(one)
+
+
+@pytest.mark.parametrize("application", [KNOWN, None])
+def test_a_cancelled_motion_of_a_program_stops_where_the_robot_can_stop_it(application):
+    with bench(application=application) as one:
+        one.hand = False
+        one.run(clock.monotonic() + 20.0, "home")
+        planner = MovePlanner(one.rig, {}, 0.15, 0.25, None)
+        motion = planner.plan(1, MoveGoal(one.rig.home.q + np.eye(7)[0]), one.arm.measured_joints)
+        one.move = motion
+        step, _ = events(one, 1.0)
+        assert step.mode == "moving" and one.controller.moving, step.reason
+        one.move = replace(motion, cancelled=True)
+        step, _ = events(one, 0.5)
+        if application is None:
+            assert step.mode == "moving" and one.controller.moving
+            return
+        assert step.mode == "holding" and step.move.state is MoveState.CANCELLED and step.move.sentence == CANCELLED
+        assert at_rest(one)
+        one.move = planner.plan(2, MoveGoal(one.rig.home.q), one.arm.measured_joints)
+        one.run(clock.monotonic() + 20.0, "moving")
+
+
+def test_control_off_after_a_cancel_leaves_the_arm_where_it_is():
+    with bench(application=KNOWN) as one:
+        one.hand = False
+        one.run(clock.monotonic() + 20.0, "home")
+        motion = MovePlanner(one.rig, {}, 0.15, 0.25, None).plan(
+            1, MoveGoal(one.rig.home.q + np.eye(7)[0]), one.arm.measured_joints
+        )
+        one.move = motion
+        events(one, 1.0)
+        one.move = replace(motion, cancelled=True)
+        one.cycle()
+        one.switch(False)
+        step, _ = events(one, 1.0)
+        assert step.mode == "stopped" and "control is off" in step.reason and at_rest(one)
+
+
+@pytest.mark.ros
+def test_what_counts_as_released(virtual_graph):
+    import rospy
+
+    from kuka_control.numbers import ENABLING_SILENT_S
+    from kuka_control.ros.enabling import EnablingWatch
+    from rig_msgs.msg import TeleopState
+
+    released = []
+    watch = EnablingWatch(released.append)
+    publisher = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=10)
+
+    def say(enabled, needed=True):
+        publisher.publish(TeleopState(enabling_needed=needed, enabled=enabled))
+        clock.sleep(0.1)
+        watch.check()
+
+    say(False)
+    say(True, needed=False)  # what need not be pressed is never released
+    say(False, needed=False)
+    assert released == []
+    say(True)
+    say(False)
+    assert released == ["the enabling device was released"]
+    say(True)
+    for _ in range(10):
+        say(True)
+    clock.sleep(ENABLING_SILENT_S + 0.1)
+    watch.check()
+    watch.check()
+    assert len(released) == 2 and "is silent for 0.5 s" in released[1]

@@ -249,6 +249,11 @@ def after_a_while(event):
     return later
 
 
+def cancel_what_can_stop(world):
+    world.arm.abilities = frozenset({"stop"})
+    cancel(world)
+
+
 LINE = shifted(0.1, 0.0, 0.05)
 
 # How a state is reached: the state before, what happens there, and the desired tool frame from then on.
@@ -319,6 +324,7 @@ EVENTS_IN = {
     **{(state, Trigger.REFUSED): (refuse("read"), None) for state in (State.HOME, State.AT_POSE, State.AT_GOAL)},
     **{(state, Trigger.REFUSED): (refuse("servo"), FAR) for state in (State.IDENTIFYING, State.SERVO, State.BRAKING)},
     **{(state, Trigger.REFUSED): (refuse("servo"), None) for state in (State.LINE, State.LINE_BRAKING)},
+    (State.TO_GOAL, Trigger.CANCELLED): (cancel_what_can_stop, None),
     (State.AT_GOAL, Trigger.NEAR_TARGET): (enable, aside(0.003)),
     (State.AT_GOAL, Trigger.FAR_TARGET): (enable, aside(0.1)),
     (State.LINE, Trigger.LAG): (after_a_while(hold), None),

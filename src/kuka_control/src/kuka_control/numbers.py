@@ -21,6 +21,8 @@ TIMEOUT_S: Final = 5.0  # of a connection at the start, and of its first answer
 AGAIN_TIMEOUT_S: Final = 2.0  # of a try to connect again, likewise
 BRAKING_S: Final = 1.0  # an arm that follows a hand when ROS shuts down has this long to brake
 
+ENABLING_SILENT_S: Final = 0.5  # an operator who enabled, and of whom nothing is heard for so long, has let go
+
 # Whether the arm follows its goals. A safety stop shows within half a second.
 FAR_RAD: Final = math.radians(20.0)  # goal and joint are too far apart; full speed lags about half of it behind
 FAR_S: Final = 0.1  # how long they may be
@@ -68,7 +70,7 @@ NO_PROGRESS_S: Final = 2.0
 LINE_START_RAD: Final = 2e-3  # a line begins where the arm stands; no joint is further off than this
 TEST_MOTIONS: Final = 3  # of joint 7 at most, to show the servo law, where a busy machine did not see it well
 
-# How slowly a program may ask for a motion: nothing can stop a PTP motion, and a slower one looks stopped.
+# How slowly a program may ask for a motion: the toolbox cannot stop a PTP motion, and a slower one looks stopped.
 LEAST_PTP: Final = 0.01  # of the full joint speed
 LEAST_LINE_M_PER_S: Final = 0.005
 

@@ -16,6 +16,8 @@ from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.switches import SwitchState
 from kuka_control.model.target import MotionScaling, Target
 
+ASKED = "it was asked to"  # why the robot has stopped the arm
+
 
 @dataclass(frozen=True)
 class Inputs:

@@ -25,6 +25,7 @@ from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimit
 from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop.admission import StreamAdmission
 from kuka_control.loop.commands import (
+    ASKED,
     COMMANDS,
     Command,
     End,
@@ -117,7 +118,8 @@ class Active:
     because: str = ""  # why it began
     reason: str = State.STARTING.text  # the published reason
     enable_count: int = 0  # the count of enablings under which the arm left home or was stopped
-    off_count: int = 0  # the same of control off, at the state's begin
+    stop_count: int = 0  # the same of motions that were asked to stop, at the state's begin
+    stop: Fired | None = None  # what follows once the robot has stopped the motion as it was asked to
     data: Any = None  # what the state works with: supervision of its motion, identification, or stream of goals
     at_rest: Trigger = Trigger.AT_REST  # while it brakes: the trigger once the goals are at rest
 
@@ -259,7 +261,8 @@ class ControlLoop(ABC, Generic[Settings]):
         wrong = self._joints.step(observation.joints, cycle.now, observation.age)
         contact = observation.contact
         if observation.stopped is not None and (self._active.state, Trigger.STOPPED) in self._table:
-            outcome: Outcome = Fired(Trigger.STOPPED, observation.stopped)
+            asked = self._active.stop if observation.stopped == ASKED else None
+            outcome: Outcome = asked or Fired(Trigger.STOPPED, observation.stopped)
         elif contact is not None and (self._active.state, Trigger.CONTACT) in self._table:
             outcome = Fired(Trigger.CONTACT, contact)
         elif refused is None and wrong is not None and (self._active.state, Trigger.DISBELIEVED) in self._table:
@@ -332,9 +335,10 @@ class ControlLoop(ABC, Generic[Settings]):
             self._unreachable = None
             self._report("error" if latches else "info", reason)
         enable_count = cycle.switches.enable_count if latches else before.enable_count
-        off_count = cycle.switches.off_count
         self._active = Active(
-            row.target, cause, because, reason or before.reason, enable_count, off_count, data, row.at_rest
+            *(row.target, cause, because, reason or before.reason, enable_count, cycle.switches.stop_count),
+            data=data,
+            at_rest=row.at_rest,
         )
         return command
 
@@ -386,7 +390,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return Wait() if unknown and cycle.now - self._started < HAND_S else Fired(Trigger.START)
 
     def _moving(self, cycle: Cycle) -> Outcome:
-        """A PTP motion runs. Control off stops it where the robot can do that."""
+        """A PTP motion runs, which ends early only where the robot can stop it."""
         supervision: PtpSupervision = self._active.data
         if cycle.observation.arrived:
             leaves = self._active.state is State.ZERO
@@ -398,9 +402,10 @@ class ControlLoop(ABC, Generic[Settings]):
                 return Wait() if wrong is None else Fired(Trigger.DISBELIEVED, wrong)
             self._joints.stand(supervision.q)
             return self._arrived(cycle)
-        if cycle.observation.stops and cycle.switches.off_count != self._active.off_count:
-            reason = f"Control is off: the robot stops the motion to {supervision.name}."
-            self._active = replace(self._active, off_count=cycle.switches.off_count, reason=reason)
+        stop = self._stop_asked(cycle)
+        if stop is not None:
+            reason = f"The robot stops the motion to {supervision.name}: {stop.detail}."
+            self._active = replace(self._active, stop_count=cycle.switches.stop_count, stop=stop, reason=reason)
             return StopPtp()
         paused = self._paused(cycle, supervision)
         if paused is not None:
@@ -414,6 +419,15 @@ class ControlLoop(ABC, Generic[Settings]):
             if supervision.held:
                 self.stopped_because = event.sentence
         return Wait()
+
+    def _stop_asked(self, cycle: Cycle) -> Fired | None:
+        """Returns what is to follow once the robot has stopped the motion; None: it is not asked to do so now."""
+        if not cycle.observation.stops:
+            return None
+        if cycle.switches.stop_count != self._active.stop_count:
+            return Fired(Trigger.STOPPED, cycle.switches.stop_because)
+        cancelled = self._active.has(Trait.PROGRAM) and self._program.cancelled and self._active.stop is None
+        return Fired(Trigger.CANCELLED, "the program cancelled it") if cancelled else None
 
     def _paused(self, cycle: Cycle, supervision: PtpSupervision) -> Command | None:
         """Pauses and continues the PTP motion as the operator asks for it, until the robot has done so."""

@@ -25,6 +25,7 @@ from kst import (
 )
 from kuka_control.loop.arm import NO_READING, WAIT_S, Arm
 from kuka_control.loop.commands import (
+    ASKED,
     End,
     Event,
     Inputs,
@@ -51,7 +52,7 @@ BACK = (
 )
 WAITING = "Control is off, nothing is sent, and the same connection is probed for up to 10 s."
 _SILENT = "this controller was silent for longer than watchdog_brake"
-WHY = {"the client": "it was asked to", "the watchdog": _SILENT, "the client was silent": _SILENT}
+WHY = {"the client": ASKED, "the watchdog": _SILENT, "the client was silent": _SILENT}
 """What the robot names as the reason of a stop, in other words where its own say too little."""
 WARN_EVERY_S = 1.0  # shortest time between two warnings about missed answers [s]
 

@@ -187,10 +187,11 @@ TRANSITIONS = (
     Transition((_S.SERVO,), _T.EXIT, _S.BRAKING, _A.DECIDE),
     Transition((_S.BRAKING,), _T.AT_REST, _S.SERVO_LEFT, _A.STOP_SERVO, "{because}"),
     Transition((_S.BRAKING,), _T.AT_REST_TO_RETURN, _S.RETURN_PENDING, _A.STOP_SERVO, "{because}"),
-    # Motions for programs. A PTP motion ends at its goal; a straight line is a stream, which can stop.
+    # Motions for programs. The toolbox cannot stop a PTP motion; a straight line is a stream, which can stop.
     Transition((_S.HOME, _S.AT_GOAL), _T.MOVE, _S.TO_GOAL, _A.PTP, _PROGRAM, "moves", if_blocked=_B.REFUSES),
     Transition((_S.HOME, _S.AT_GOAL), _T.LINE, _S.LINE, _A.START_SERVO, _PROGRAM, "moves", if_blocked=_B.REFUSES),
     Transition((_S.TO_GOAL,), _T.ARRIVED, _S.AT_GOAL, _A.NONE, "The motion has ended."),
+    Transition((_S.TO_GOAL,), _T.CANCELLED, _S.AT_GOAL, _A.NONE, "The program cancelled the motion."),
     Transition((_S.LINE,), _T.ARRIVED, _S.LINE_BRAKING, _A.DECIDE, "The line has ended."),
     Transition((_S.LINE,), _T.CANCELLED, _S.LINE_BRAKING, _A.DECIDE, "The program cancelled the line."),
     Transition((_S.LINE,), _T.NO_PROGRESS, _S.LINE_BRAKING, _A.DECIDE, "The line does not continue: {detail}."),

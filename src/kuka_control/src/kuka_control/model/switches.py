@@ -40,7 +40,8 @@ class SwitchState:
     exit_requested: bool = False
     exit_in_place: ExitInPlace | None = None  # why the exit was said to leave the arm where it is
     payload: float = 0.0  # of what the hand holds [kg]
-    off_count: int = 0  # how often control was asked to be off
+    stop_count: int = 0  # how often a motion that runs was asked to stop
+    stop_because: str = ""  # the last time, a part of a sentence
     paused: bool = False  # whether the PTP motion that runs is to pause
 
 
@@ -78,7 +79,7 @@ class Switches:
     ) -> None:
         """Takes the state of the controller, which the replies quote; `when_enabled`: what happens to the present
         desired tool frame once control is switched on; `exit_in_place`: why an exit leaves the arm where it is;
-        `stops`: a PTP motion runs, which control off stops."""
+        `stops`: a PTP motion runs, which the robot can stop."""
         self._stops = stops
         if self.now.paused and not stops:
             self._now = replace(self.now, paused=False)
@@ -107,8 +108,9 @@ class Switches:
         stopped = self._stopped_because
         before = self.now.control_on
         enable_count = self.now.enable_count + (on and not before)
-        off_count = self.now.off_count + (not on)
-        self._now = replace(self.now, control_on=on, enable_count=enable_count, off_count=off_count)
+        self._now = replace(self.now, control_on=on, enable_count=enable_count)
+        if not on:
+            self.stop_motion("control is off")
         if on and before and stopped:
             return SwitchReply(False, f"The arm is stopped until control is switched off and on again: {stopped}")
         if not on and self._stops:
@@ -122,6 +124,10 @@ class Switches:
         first = "" if self._mode == Mode.HOME else " The arm goes home first."
         follows = "The arm follows the desired tool frame once it comes."
         return SwitchReply(True, f"Control is on.{first} {self._when_enabled or follows}")
+
+    def stop_motion(self, because: str) -> None:
+        """Stops a PTP motion that runs, where the robot can do that; `because` is part of a sentence."""
+        self._now = replace(self.now, stop_count=self.now.stop_count + 1, stop_because=because)
 
     def set_paused(self, on: bool) -> SwitchReply:
         """Pauses the PTP motion that runs, or continues it."""

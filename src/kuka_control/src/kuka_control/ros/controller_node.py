@@ -43,6 +43,7 @@ from kuka_control.numbers import AGAIN_TIMEOUT_S, BRAKING_S, PROBE_S, TIMEOUT_S
 from kuka_control.ros.arm_placement import placed_beside_others
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.emergency import TOLD_TO_STOP
+from kuka_control.ros.enabling import EnablingWatch
 from kuka_control.ros.guard_view import GuardView, HandOpening
 from kuka_control.ros.moves import MoveServer
 from kuka_control.ros.panel_process import control_panel
@@ -240,8 +241,10 @@ class _Node:
         self._step: Step | None = None
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
         planner = assembly.move_planner(config, rig, named_configurations(named, rig.model))
-        self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames)
-        self._services = Services(self._switches, lambda: self._link.stop(), config.robot_server == "leap_rig")
+        stops = config.robot_server == "leap_rig"
+        self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames, stops)
+        self._services = Services(self._switches, lambda: self._link.stop(), stops)
+        self._enabling = EnablingWatch(self._services.stop_motion) if stops else None
         master.watch.lost.append(lambda _: self._services.disengage())
         offer_tool_check(rig, self._for_tool_check, self._guard_view.collision, frames)
 
@@ -281,6 +284,8 @@ class _Node:
             desired = self._desired.wait(deadline)
             if self._beside is not None:
                 self._beside.check()
+            if self._enabling is not None:
+                self._enabling.check()
             started = clock.monotonic()
             self._loop.open_hand(self._opening.at(started))
             inputs = Inputs(desired, rospy.get_time(), self._switches.now, self._moves.move, self._desired.missing)

@@ -25,16 +25,18 @@ START_S = 1.0  # the control loop has this long to start or refuse a motion [s]
 class MoveServer:
     """Offers kuka/move: one motion at a time; another goal meanwhile is rejected. `read` returns the last step of the
     control loop, None before the first, and the measured joints, shape (7,); `move` is the motion that the control loop
-    is to make, None while nothing is asked for."""
+    is to make, None while nothing is asked for; `stops`: the robot can stop a point-to-point motion."""
 
     def __init__(
         self,
         planner: MovePlanner,
         read: Callable[[], tuple[Step | None, np.ndarray]],
         frames: ArmFrames = ONE_ARM,
+        stops: bool = False,
     ) -> None:
         self.move: ProgramMotion | None = None
         self._base = frames(BASE)
+        self._stops = stops
         self._planner = planner
         self._read = read
         self._lock = clock.Lock()
@@ -101,7 +103,7 @@ class MoveServer:
             if handle != self._handle or move is None:
                 return
             self.move = replace(move, cancelled=True)
-        if move.line is None:
+        if move.line is None and not self._stops:
             rospy.logwarn("kuka/move: a point-to-point motion cannot be stopped; the arm continues to %s.", move.name)
 
 

@@ -48,6 +48,11 @@ class Services:
         """Switches control off: the operator could not do it any more."""
         self._ask(self._switches.set_control, False)
 
+    def stop_motion(self, why: str) -> None:
+        """Stops a motion that runs, where the robot can do that; `why` is part of a sentence."""
+        with self._lock:
+            self._switches.stop_motion(why)
+
     def hold(self, why: str) -> None:
         """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
         with self._lock:
