@@ -165,3 +165,22 @@ def test_a_tilted_grasp_is_drawn_tilted():
     blank = np.zeros((600, 600, 3), np.uint8)
     drawing.gripper(blank, view.camera, near, 0.05, "1", drawing.BEST, 1)
     assert not blank.any()
+
+
+@pytest.mark.parametrize("with_lifts", [False, True], ids=["peaks", "lifts"])
+def test_what_is_outside_the_limits_takes_no_place_of_what_is_within(with_lifts):
+    """The better box lies outside, and one grasp is wanted."""
+    changes = {"peaks": {"count": 1, "threshold": 0.01}}
+    lifts = Likes() if with_lifts else None
+
+    def best(limits):
+        s = settings_from(overlaid(YAML, {**changes, "limits": limits}))
+        return look(GraspPipeline(s.views(), Nearest(), s.steps(UP), lifts=lifts))
+
+    anywhere = best({})
+    (first,) = anywhere.grasps
+    assert len(anywhere.candidates) == 1
+    x = first.T_base_grasp[0, 3]
+    beyond = [x + 0.05, 2.0] if x < 0.0 else [-2.0, x - 0.05]
+    (second,) = best({"x": beyond}).grasps
+    assert beyond[0] <= second.T_base_grasp[0, 3] <= beyond[1]

@@ -3,6 +3,9 @@ approach of its own: what the network of lifts chooses, without near duplicates.
 
 from __future__ import annotations
 
+import functools
+import itertools
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +13,7 @@ import numpy as np
 from common.poses import read_only
 from grasping.network.maps import Peak
 from grasping.pipeline.projection import CameraGrasp, seen_by
-from grasping.poses.chooser import ImageMaps, choose
+from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
 from grasping.poses.hypotheses import pixels_of, turned
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.preferred import GraspUncertainty, offer, preferred, uncertainty
@@ -38,29 +41,39 @@ def lift_grasps(
     widest: float,
     max_tilt: float,
     taste: PoseTaste | None = None,
-) -> list[LiftGrasp]:
-    """Returns at most `count` grasps above a probability, best first; None as `threshold`: the best alone. Those within
-    `distance` rows and columns differ in direction. `before`: poses, shape (k, 4, 4) [m], and openings, shape (k,) [m],
-    of those in the image before, which stay while they are good; `widest`: opening of the hand [m]; `max_tilt` [rad].
+) -> Iterator[LiftGrasp]:
+    """Returns at most `count` grasps above a probability, one after another, best first; None as `threshold`: the best
+    alone. Those within `distance` rows and columns differ in direction. `before`: poses, shape (k, 4, 4) [m], and
+    openings, shape (k,) [m], of those in the image before, which stay while they are good; `widest`: opening of the
+    hand [m]; `max_tilt` [rad].
     """
     again = of.hypotheses(*before) if len(before[0]) else None
+    about = None
     if taste is None:
         scored = choose(network, of, widest, max_tilt, again)
     else:
         offered = offer(network, of, widest, max_tilt, again)
         scored = preferred(network, of, offered, taste, widest, max_tilt, again)
+        about = functools.partial(uncertainty, taste, offered.options)
+    return itertools.islice(_distinct(of, scored, distance, threshold, about), 1 if threshold is None else count)
+
+
+def _distinct(
+    of: ImageMaps,
+    scored: ScoredPoses,
+    distance: int,
+    threshold: float | None,
+    about: Callable[[np.ndarray], GraspUncertainty] | None,
+) -> Iterator[LiftGrasp]:
     T, opening, probability = scored.of.T, scored.of.opening, scored.probability
     rows, columns, _ = pixels_of(T[:, :3, 3], of.image, of.camera)
     left = probability > (-1.0 if threshold is None else threshold)
-    found: list[LiftGrasp] = []
-    while left.any() and len(found) < (1 if threshold is None else count):
+    while left.any():
         i = int(np.argmax(left))
         angle, pixel, wide = seen_by(of.camera, T[i], float(opening[i]))
         width = wide * len(of.image.depth) / of.image.crop.side
         peak = Peak(int(rows[i]), int(columns[i]), float(probability[i]), angle, width)
         grasp = CameraGrasp(read_only(T[i]), angle, float(opening[i]), width, peak.quality, pixel)
-        about = None if taste is None else uncertainty(taste, offered.options, T[i])
-        found.append(LiftGrasp(peak, grasp, float(scored.rank[i]), about))
+        yield LiftGrasp(peak, grasp, float(scored.rank[i]), None if about is None else about(T[i]))
         near = np.maximum(np.abs(rows - rows[i]), np.abs(columns - columns[i])) <= distance
         left &= ~(near & (turned(T[:, :3, :3], T[i, :3, :3]) < ALIKE_RAD))
-    return sorted(found, key=lambda one: -one.rank)

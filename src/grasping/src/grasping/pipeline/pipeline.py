@@ -6,7 +6,7 @@ limits. Poses are in the camera's optical frame and, where the camera's pose is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Union
 
@@ -42,6 +42,7 @@ from grasping.poses.preferred import GraspUncertainty
 from grasping.poses.taste import PoseTaste
 
 NONE_CHOSEN = np.zeros((0, 4, 4)), np.zeros(0)
+LOOKED_AT = 10  # candidates for each grasp that is wanted: some are outside the limits
 OUT_OF_SIGHT = "the best grasp is briefly out of sight"
 
 
@@ -174,10 +175,15 @@ class GraspPipeline:
         if self._average is not None:
             output, _ = self._average.step(output, view.image.depth)
         T_track_camera = np.eye(4) if T_base_camera is None else T_base_camera
-        maps, found = self._peaks(output, view, T_track_camera @ view.T_camera_view)
+        T_track_view = T_track_camera @ view.T_camera_view
+        maps, found = self._peaks(output, view, T_track_view)
         stages.end("peaks")
-        candidates = tuple(self._candidates(found, view, T_base_camera))
+        enough = self._until_enough(self._candidates(found, view, T_base_camera))
+        candidates = tuple(sorted(enough, key=lambda one: -one.rank))
         accepted = [c for c in candidates if not c.rejection]
+        chosen = [c.chosen.grasp for c in candidates if c.chosen is not None]
+        T = np.array([one.T_camera_grasp for one in chosen]).reshape(-1, 4, 4)
+        self._chosen = T_track_view @ T, np.array([one.width for one in chosen])
         seen = [(c.grasp, c.rank) for c in accepted if c.grasp is not None]
         T_view = view.T_camera_view
         detections = [GraspDetection(T_track_camera @ (T_view @ g.T_camera_grasp), g.width, q) for g, q in seen]
@@ -190,22 +196,30 @@ class GraspPipeline:
             return self._tracker.step(detections, now)
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
-    def _peaks(self, output: np.ndarray, view: GraspView, T_track_view: np.ndarray) -> tuple[Maps, Sequence[_Found]]:
+    def _peaks(self, output: np.ndarray, view: GraspView, T_track_view: np.ndarray) -> tuple[Maps, Iterable[_Found]]:
         """Returns the smoothed maps and their peaks, with a network of lifts the grasps that it chooses."""
         s = self._settings
         if self._lifts is None:
             found = maps_of(output, view, s)
-            return found, [highest(found)] if s.threshold is None else peaks(found, s.count, s.distance, s.threshold)
+            if s.threshold is None:
+                return found, [highest(found)]
+            return found, peaks(found, LOOKED_AT * s.count, s.distance, s.threshold)
         of = ImageMaps.of_output(view.image, view.camera, output)
         before, widest = inverse(T_track_view) @ self._chosen[0], np.inf if s.tool is None else s.tool.max_opening
-        how = (before, self._chosen[1]), s.count, s.distance, s.threshold, widest, s.max_tilt
-        chosen = lift_grasps(self._lifts, of, *how, self._taste)
-        T = np.array([one.grasp.T_camera_grasp for one in chosen]).reshape(-1, 4, 4)
-        self._chosen = T_track_view @ T, np.array([one.grasp.width for one in chosen])
-        return of.maps, chosen
+        how = (before, self._chosen[1]), LOOKED_AT * s.count, s.distance, s.threshold, widest, s.max_tilt
+        return of.maps, lift_grasps(self._lifts, of, *how, self._taste)
+
+    def _until_enough(self, candidates: Iterator[GraspCandidate]) -> Iterator[GraspCandidate]:
+        """Yields the candidates until as many as are wanted passed all limits."""
+        missing = self._settings.count
+        for one in candidates:
+            yield one
+            missing -= not one.rejection
+            if not missing:
+                return
 
     def _candidates(
-        self, found: Sequence[_Found], view: GraspView, T_base_camera: np.ndarray | None
+        self, found: Iterable[_Found], view: GraspView, T_base_camera: np.ndarray | None
     ) -> Iterator[GraspCandidate]:
         side = len(view.image.input)
         for one in found:
