@@ -11,11 +11,13 @@ from test_poses import DOWN, OPEN_M, bar_image
 
 from common.poses import pose
 from grasping.lab.evaluation.grasp_distance import miss
+from grasping.network.maps import half_turn
 from grasping.poses import logit, taste
+from grasping.poses.candidates import LENGTH_M
 from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
-from grasping.poses.hypotheses import level_rotation, rotations
+from grasping.poses.hypotheses import MAX_TILT_RAD, level_rotation, rotations
 from grasping.poses.lift_network import LiftNetwork
-from grasping.poses.preferred import MOST_LOST, SAFE, offer, preferred
+from grasping.poses.preferred import MOST_LOST, SAFE, expected, offer, preferred, wanted_poses
 from grasping.poses.taste import PoseTaste, Shown, learned, nobody, options
 
 TURNS = np.linspace(-1.2, 1.2, 8)
@@ -135,3 +137,35 @@ def test_a_wanted_grasp_comes_down_at_its_option():
     np.testing.assert_allclose(
         found.T[:, :3, 3], given.points @ given.frame.R.T + 0.01 * given.frame.R[:, 2], atol=1e-9
     )
+
+
+def test_a_constant_turn_is_a_miss_and_one_with_the_height_a_habit():
+    of = bar_image(turned=0.4)
+    given, habit = options(SURE, of, OPEN_M), 0.3
+    plain, missed, turning = (
+        wanted_poses(nobody()._replace(style=nobody().style._replace(line=np.array(line))), given, of, OPEN_M, 0.8)
+        for line in ((0.0, 0.0), (0.2, 0.0), (0.0, habit))
+    )
+    np.testing.assert_allclose(missed.T, plain.T, atol=1e-12)
+    turned = np.arctan2(-turning.T[:, 1, 0], turning.T[:, 0, 0]) - np.arctan2(-plain.T[:, 1, 0], plain.T[:, 0, 0])
+    np.testing.assert_allclose(half_turn(turned), habit * given.of.heights / LENGTH_M, atol=1e-6)
+
+
+def test_of_equally_safe_grasps_the_operators_own_is_taken_and_the_safest_ones_come_behind(lessons):
+    of, known = bar_image(turned=0.4), learned(lessons)
+    offered = offer(SURE, of, OPEN_M)
+    found = preferred(SURE, of, offered, known, OPEN_M)
+    wanted = wanted_poses(known, offered.options, of, OPEN_M, MAX_TILT_RAD)
+    best = int(np.argmax(expected(known, offered.options)))
+    np.testing.assert_allclose(found.of.T[0], wanted.T[best], atol=1e-12)
+    behind = len(offered.safest.probability)
+    np.testing.assert_array_equal(found.of.T[-behind:], offered.safest.of.T)
+    assert found.rank[0] == 1.0 > found.rank[1] and found.rank[:-behind].min() >= found.rank[-behind:].max()
+
+
+def test_a_few_lines_that_have_nothing_to_do_with_the_option_do_not_teach_the_hand(lessons):
+    steady = learned(lessons * 2)
+    mixed = [one._replace(angle=one.angle + (1.3 if i % 8 == 0 else 0.0)) for i, one in enumerate(lessons * 2)]
+    known = learned(mixed)
+    assert known.spreads[1] < 1.3 * steady.spreads[1]
+    assert abs(known.style.line[0] - steady.style.line[0]) < 0.05
