@@ -92,6 +92,7 @@ PROGRAMS = [
     Program("leap_motion/visualizer.py"),
     Program("leap_motion/webcam_leapd.py", ("--video", "{images}/none.avi", "--port", "0"), (WINDOW,)),
     Program("leap_rig/cockpit_node.py", ("_port:=0", f"_page:={ROOT}/src/leap_rig/web/cockpit.html")),
+    Program("leap_rig/dataset_report.py", ("{images}/none", "--page", "{new}/page.html"), ALONE),
     Program("leap_rig/demo.py", ("--recording", "{images}/none.json",), ALONE),
     Program("leap_rig/export_recording.py", ("--mcap", "{new}/run.mcap", "{images}/none"), ALONE),
     Program("leap_rig/leap_teleop.py"),

@@ -1,1 +1,1 @@
-"""The programs record.py, replay.py and export_recording.py."""
+"""The programs record.py, record_episodes.py, replay.py, export_recording.py and dataset_report.py."""

@@ -1,0 +1,146 @@
+"""Recordings as episodes of a dataset: rows, signals and cameras at one rate, whatever format they then get."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from leap_rig.recording import topics
+from leap_rig.recording.episode import (
+    DEPTH_CODE,
+    IMAGE,
+    TrainingEpisode,
+    color_image,
+    depth_image,
+    training_episode,
+)
+from leap_rig.recording.recording_files import RecordingFault, between
+from leap_rig.recording.run import MessageDecoders, read
+from leap_rig.recording.session import LABEL, read_label
+from leap_rig.recording.session import SUCCESS as SUCCEEDED
+from leap_rig.recording.signals import SignalTable, moving, read_signals
+
+STATE, ACTION, SUCCESS, IMAGES = "observation.state", "action", "next.success", "observation.images."
+KNOWN = {topics.COLOR: "color", topics.DEPTH: "depth"}
+"""Names of the rig's own cameras; those of others follow from their topics."""
+ENDLESS = float("inf")
+
+
+class ExportedEpisode(NamedTuple):
+    """What a recording gives a dataset."""
+
+    recording: Path
+    task: str
+    rows: TrainingEpisode
+    signals: SignalTable
+    cameras: Mapping[str, str]  # topics by key
+    features: dict[str, Any]
+    about: Mapping[str, Any]
+
+    def vectors(self) -> dict[str, np.ndarray]:
+        """Returns all numbers by key, shape (n, number of names)."""
+        rows = {STATE: self.rows.state, ACTION: self.rows.action, **self.signals.rows}
+        return {key: values.astype(np.float32) for key, values in rows.items()}
+
+    def images(self) -> dict[str, Iterator[np.ndarray]]:
+        """Returns the images of each camera by key, one a row."""
+        return {key: images(self.recording, topic, self.rows.times) for key, topic in self.cameras.items()}
+
+
+def exported_episodes(
+    recordings: Sequence[Path], fps: int, task: str, start: float = 0.0, end: float = ENDLESS, trim: bool = False
+) -> list[ExportedEpisode]:
+    """Returns an episode for each recording; `task` for those that name none; `start` and `end` cut each [s], `trim`
+    cuts what does not move at its ends. Raises RecordingFault if a recording has no task, or the recordings do not fit
+    together."""
+    episodes: list[ExportedEpisode] = []
+    for recording in recordings:
+        episodes.append(_episode(recording, fps, task, start, end, trim))
+        if episodes[-1].features != episodes[0].features:
+            raise RecordingFault(f"{recording} has other signals than the first one, so they are not one dataset.")
+        for key, rows in episodes[-1].vectors().items():
+            if not np.isfinite(rows).all():
+                raise RecordingFault(
+                    f"{recording} has numbers in {key} that are not finite, of which nothing is learned; leave it out."
+                )
+    return episodes
+
+
+def about(episodes: Sequence[ExportedEpisode]) -> dict[str, Any]:
+    """Returns what a format has no place for: units, and where each episode comes from."""
+    units = {STATE: "rad", ACTION: "rad", **episodes[0].signals.units}
+    return {"units": units, "depth": DEPTH_CODE, "episodes": [one.about for one in episodes]}
+
+
+def _episode(recording: Path, fps: int, task: str, start: float, end: float, trim: bool) -> ExportedEpisode:
+    run = read(recording, start, end)
+    words = task or run.manifest.get("task", "")
+    if not words:
+        raise RecordingFault(f"{recording} does not say what is done; give --task, a sentence.")
+    first_images = _first_images(recording)
+    rows = training_episode(run, fps)
+    rows = _part(rows, slice(int(np.searchsorted(rows.times, max(first_images.values(), default=0.0))), None))
+    if not len(rows.times):
+        raise RecordingFault(f"{recording} has a camera without an image in this time.")
+    if trim:
+        rows = _part(rows, moving(rows.action, fps))
+    signals = read_signals(recording, rows.times, run)
+    cameras = {IMAGES + camera_name(topic): topic for topic in first_images}
+    robot = run.manifest.get("robot", {}).get("model", {}).get("robot", "unknown")
+    origin: dict[str, Any] = {"recording": recording.name, "started": run.manifest.get("started", ""), "robot": robot}
+    vector = {"dtype": "float32", "shape": (len(rows.names),), "names": list(rows.names)}
+    features: dict[str, Any] = {STATE: vector, ACTION: dict(vector)}
+    for key, names in signals.names.items():
+        features[key] = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
+    for key, topic in cameras.items():
+        shapes = {image.shape for image in images(recording, topic, rows.times)}
+        kind = "image" if topic == topics.DEPTH else "video"  # a film would not keep the depth
+        features[key] = {"dtype": kind, "shape": next(iter(shapes)), "names": ["height", "width", "channels"]}
+    if (recording / LABEL).exists():
+        label = read_label(recording)
+        origin.update(asdict(label), success=label.outcome == SUCCEEDED)
+        features[SUCCESS] = {"dtype": "bool", "shape": (1,), "names": None}
+    return ExportedEpisode(recording, words, rows, signals, cameras, features, origin)
+
+
+def camera_name(topic: str) -> str:
+    """Returns the name of a camera whose images come on a topic."""
+    return KNOWN.get(topic) or topic.strip("/").replace("/", "_")
+
+
+def _first_images(recording: Path) -> dict[str, float]:
+    """Returns when the first image came on each topic that has some [s]."""
+    found: dict[str, float] = {}
+    for message in between(recording, None, 0.0, ENDLESS):
+        if message.kind.name == IMAGE:
+            found.setdefault(message.topic, 1e-9 * message.received)
+    return dict(sorted(found.items()))
+
+
+def _part(rows: TrainingEpisode, part: slice) -> TrainingEpisode:
+    return replace(rows, times=rows.times[part], state=rows.state[part], action=rows.action[part])
+
+
+def images(recording: Path, topic: str, times: np.ndarray) -> Iterator[np.ndarray]:
+    """Yields for each time the newest image of a topic; before the first one, that one. RecordingFault: their size
+    changes, which no video has."""
+    decode, newest = MessageDecoders(), None
+    picture = depth_image if topic == topics.DEPTH else color_image
+    coming_ones = between(recording, [topic], 0.0, ENDLESS)
+    coming = next(coming_ones, None)
+    for time in times:
+        while coming is not None and (newest is None or coming.received * 1e-9 <= time):
+            image, coming = picture(decode(coming)), next(coming_ones, None)
+            if newest is not None and image.shape != newest.shape:
+                raise RecordingFault(
+                    f"The images of {topic} in {recording} are {newest.shape[1]} x {newest.shape[0]} px, then "
+                    f"{image.shape[1]} x {image.shape[0]}: a dataset has one size; record each in a run of its own."
+                )
+            newest = image
+        if newest is None:
+            return
+        yield newest
