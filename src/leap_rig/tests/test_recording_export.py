@@ -1,7 +1,9 @@
 """Exports: rows for training, MCAP for mcap's reader, and a dataset for LeRobot's loader."""
 
+import base64
 import gzip
 import json
+import math
 import os
 import re
 import struct
@@ -11,6 +13,8 @@ import types
 from dataclasses import fields, replace
 from pathlib import Path
 
+import cv2
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,7 +24,8 @@ from recordings import START, stored, write_recording
 
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_quaternion
-from leap_rig.recording import csv_export, read
+from leap_rig.recording import csv_export, hdf5_export, read, rows_export
+from leap_rig.recording.dataset import exported_episodes
 from leap_rig.recording.episode import ARM, HAND, color_image, depth_image, training_episode
 from leap_rig.recording.recording_files import (
     MessageKind,
@@ -34,7 +39,7 @@ from leap_rig.recording.ros1 import MessageFault, decoder
 from leap_rig.recording.run import RecordedRun
 from leap_rig.recording.session import EpisodeFault, EpisodeLabel, episode_folder, write_label
 from leap_rig.recording.signals import _velocities, held, moving, read_signals
-from leap_rig.recording.topics import JOINTS, RAW_FRAMES, SENT_GOALS
+from leap_rig.recording.topics import COLOR, JOINTS, RAW_FRAMES, SENT_GOALS
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "handbook" / "recordings-elsewhere.md"
@@ -417,6 +422,100 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert about["units"]["observation.flange_force"] == "N"
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 1 and "exists already" in again.stderr
+
+
+@pytest.mark.ros
+def test_hdf5_and_rows_of_mcap_hold_what_the_dataset_has(tmp_path, capsys):
+    folders = [seen_and_felt(tmp_path / name) for name in ("one", "two")]
+    write_label(folders[1], EpisodeLabel(said="failure"))
+    assert exported(*folders, hdf5=tmp_path / "set.hdf5", fps=20) == 0
+    assert exported(*folders, rows=tmp_path / "set.mcap", fps=20) == 0
+    assert capsys.readouterr().out.count("Wrote 2 episodes with 40 rows") == 2
+    episodes = exported_episodes(folders, 20, "")
+    with h5py.File(tmp_path / "set.hdf5") as file:
+        data = file["data"]
+        assert data.attrs["total"] == 40 and list(file["mask/success"]) == [b"demo_0"]
+        assert json.loads(data.attrs["env_args"])["env_name"] == "leap_rig"
+        assert json.loads(data.attrs["leap_rig"])["units"]["observation.flange_force"] == "N"
+        for i, one in enumerate(episodes):
+            demo, images = data[f"demo_{i}"], one.images()
+            assert demo.attrs["num_samples"] == 20 and demo.attrs["task"] == "lift the cup"
+            np.testing.assert_array_equal(demo["times"], one.rows.times)
+            np.testing.assert_array_equal(demo["rewards"], [0.0] * 19 + [1.0 - i])
+            assert demo["dones"][:].tolist() == [0] * 19 + [1]
+            keys = {key.replace("observation.", "") for key in (*one.vectors(), *images)} - {"action"}
+            assert set(demo["obs"]) == keys
+            for key, rows in one.vectors().items():
+                stored_rows = demo["actions"] if key == "action" else demo["obs"][key.replace("observation.", "")]
+                np.testing.assert_array_equal(stored_rows, rows)
+            for key, of in images.items():
+                np.testing.assert_array_equal(demo["obs"][key.replace("observation.", "")], list(of))
+    with open(tmp_path / "set.mcap", "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = [(schema, channel.topic, message) for schema, channel, message in reader.iter_messages()]
+        said = [record.metadata for record in reader.iter_metadata()]
+        assert [one.name for one in reader.iter_attachments()] == ["leap_rig.json"]
+    assert [(one["recording"], one["success"]) for one in said] == [("one", "True"), ("two", "False")]
+    expected = {f"/{key}": [*rows, *episodes[1].vectors()[key]] for key, rows in episodes[0].vectors().items()}
+    for topic, rows in expected.items():
+        messages_of = [json.loads(message.data) for _, name, message in found if name == topic]
+        in_order = sorted(map(tuple, (list(message.values()) for message in messages_of)))
+        assert in_order == sorted(tuple(row.tolist()) for row in rows)
+    schema = next(schema for schema, topic, _ in found if topic == "/observation.flange_force")
+    assert (schema.encoding, json.loads(schema.data)["description"]) == ("jsonschema", "N")
+    pictures = [json.loads(message.data) for _, topic, message in found if topic == "/observation.images.depth"]
+    decoded = cv2.imdecode(np.frombuffer(base64.b64decode(pictures[-1]["data"]), np.uint8), cv2.IMREAD_COLOR)
+    assert pictures[-1]["format"] == "png" and decoded[0, 0].tolist() == [0, 709 % 256, 709 // 256]
+    for options in ({"hdf5": tmp_path / "set.hdf5"}, {"rows": tmp_path / "set.mcap"}):
+        with pytest.raises(RecordingFault, match=r"exists already|File exists"):
+            exported(*folders, **options)
+
+
+@pytest.mark.ros
+def test_rows_begin_with_the_first_image_and_hold_none_of_later(tmp_path):
+    """The grey of an image is its time."""
+    whole = session(tmp_path / "whole", images=True)
+    late = [one for one in messages(whole / "messages.mcap") if one.topic != COLOR or one.received > START + 34 * 10**7]
+    folder = write_recording(tmp_path / "late", late, name="x", task="lift the cup")
+    (one,) = exported_episodes([folder], 20, "")
+    assert one.rows.times[0] == pytest.approx(BEGIN + 0.4, abs=1e-3) and len(one.rows.times) == 12
+    for key, of in one.images().items():
+        seen = np.array([0.005 * image[0, 0, 0] for image in of])
+        assert key.endswith("color") and (seen <= one.rows.times - BEGIN + 1e-6).all() and seen[0] > 0.0
+
+
+@pytest.mark.ros
+def test_numbers_that_are_not_finite_are_in_no_dataset(tmp_path):
+    import rospy
+    from std_msgs.msg import Header
+
+    from kuka_msgs.msg import jointPositions
+
+    found = list(messages(session(tmp_path / "plain", images=False) / "messages.mcap"))
+    for i in range(10):
+        bad = jointPositions(Header(0, rospy.Time(0, START + (50 + i) * 10**7), ""), *[math.nan] * 7)
+        found.append(stored(JOINTS, bad, 0.5 + 0.01 * i))
+    found.sort(key=lambda one: one.received)
+    folder = write_recording(tmp_path / "bad", found, name="x", task="lift")
+    for options in ({"hdf5": tmp_path / "a.hdf5"}, {"rows": tmp_path / "a.mcap"}):
+        with pytest.raises(RecordingFault, match="not finite"):
+            exported(folder, **options)
+    assert not list(tmp_path.glob("a.*"))
+
+
+@pytest.mark.ros
+def test_a_file_that_cannot_be_completed_is_removed(tmp_path, monkeypatch):
+    folder = session(tmp_path / "run", images=False)
+    for module, options in ((hdf5_export, {"hdf5": tmp_path / "a"}), (rows_export, {"rows": tmp_path / "a"})):
+        monkeypatch.setattr(module, "_write", lambda *_: json.loads(""))
+        with pytest.raises(json.JSONDecodeError):
+            exported(folder, **options)
+        monkeypatch.setattr(module, "_write", lambda *_: os.stat(tmp_path / "none"))
+        with pytest.raises(RecordingFault, match="cannot be written"):
+            exported(folder, **options)
+        with pytest.raises(RecordingFault, match="cannot be written"):
+            exported(folder, **{next(iter(options)): tmp_path / "none" / "a"})
+    assert not (tmp_path / "a").exists()
 
 
 READ_BAG = """

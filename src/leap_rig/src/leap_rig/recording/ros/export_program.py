@@ -10,6 +10,7 @@ import math
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import rospy
 import common.errors
 from common.command_line import whole
 from common.ros.node import run_program
-from leap_rig.recording import csv_export, lerobot_export
+from leap_rig.recording import csv_export, hdf5_export, lerobot_export, rows_export
 from leap_rig.recording.recording_files import (
     MANIFEST,
     MESSAGES,
@@ -35,6 +36,7 @@ from leap_rig.recording.session import OUTCOMES, SUCCESS, chosen, episode_folder
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.{}_export import main; main()"
 ERRORS = (common.errors.RigError, OSError)
+DATASETS = "lerobot", "hdf5", "rows"  # options that write rows of several recordings
 WORKSPACE = Path(__file__).resolve().parents[6]
 
 
@@ -50,8 +52,14 @@ def export(options: argparse.Namespace) -> int:
         manifest, remark = verify(folder)
         if remark:
             print(remark, file=sys.stderr)
+    cut = {"start": options.start, "end": options.end, "trim": options.trim}
     if options.lerobot is not None:
-        return _to_lerobot(folders, options)
+        return _to_lerobot(folders, options, cut)
+    for path, writer in ((options.hdf5, hdf5_export), (options.rows, rows_export)):
+        if path is not None:
+            count = writer.export(folders, path, options.fps, options.task, **cut)
+            print(f"Wrote {len(folders)} episodes with {count} rows to {path}.")
+            return 0
     if len(folders) != 1:
         raise RecordingFault("One file holds one recording; name one.")
     (folder,) = folders
@@ -107,8 +115,8 @@ def _refuse_unheeded(options: argparse.Namespace) -> None:
     """Raises RecordingFault for an option that this export would not heed."""
     if options.mcap is not None or options.ros2 is not None:
         return
-    to = next(f"--{name}" for name in ("frames", "csv", "lerobot") if getattr(options, name) is not None)
-    given = {"--topic": options.topic is not None, "--trim": options.trim and to != "--lerobot"}
+    to = next(f"--{name}" for name in ("frames", "csv", *DATASETS) if getattr(options, name) is not None)
+    given = {"--topic": options.topic is not None, "--trim": options.trim and to[2:] not in DATASETS}
     for option in (option for option, is_given in given.items() if is_given):
         raise RecordingFault(f"{option} is not for {to}, so nothing is written; leave it out.")
 
@@ -121,8 +129,7 @@ def _line(text: str) -> bytes | None:
         return None
 
 
-def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
-    cut = {"start": options.start, "end": options.end, "trim": options.trim}
+def _to_lerobot(folders: list[Path], options: argparse.Namespace, cut: Mapping[str, Any]) -> int:
     if importlib.util.find_spec("lerobot") is not None:
         lerobot_export.export(folders, options.lerobot, options.fps, options.task, **cut)
     else:
@@ -173,6 +180,8 @@ def _parser() -> argparse.ArgumentParser:
     to.add_argument("--frames", type=Path, metavar="FILE", help="the tracker's frames, one a line, .jsonl.gz")
     to.add_argument("--csv", type=Path, metavar="DIR", help="a folder of CSV files: poses, joints, goals, hand")
     to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
+    to.add_argument("--hdf5", type=Path, metavar="FILE", help="the same rows as one HDF5 file, laid out as robomimic's")
+    to.add_argument("--rows", type=Path, metavar="FILE", help="the same rows as one MCAP file of JSON messages")
     parser.add_argument("--fps", type=whole(1, most_fps), default=30, help="rows a second of the dataset (default: 30)")
     parser.add_argument("--trim", action="store_true", help="of a dataset: leave out what does not move at the ends")
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
