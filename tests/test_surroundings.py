@@ -96,6 +96,7 @@ PROGRAMS = [
     Program("leap_rig/demo.py", ("--recording", "{images}/none.json",), ALONE),
     Program("leap_rig/export_recording.py", ("--mcap", "{new}/run.mcap", "{images}/none"), ALONE),
     Program("leap_rig/leap_teleop.py"),
+    Program("leap_rig/lerobot_server.py"),
     Program("leap_rig/misplaced_arguments.py", ("1",), ALONE),
     Program("leap_rig/operator_view_node.py"),
     Program("leap_rig/record.py", ("run", "--seconds", "1")),

@@ -1,0 +1,1 @@
+"""The program lerobot_server.py."""

@@ -1,0 +1,196 @@
+"""The program lerobot_server.py: lets LeRobot's programs see the rig, and with --moves move it."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import rospy
+import tf2_ros
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from common import clock
+from common.command_line import whole
+from common.errors import DeviceError, RigError
+from common.frames import BASE, TOOL_DESIRED, TOOL_MEASURED, frame_name
+from common.robot_hand import HAND, hand_state
+from common.ros.compressed_images import jpeg_from_image
+from common.ros.files import home
+from common.ros.node import join, run_program
+from common.ros.raw_tf import publisher_of
+from kuka_msgs.msg import jointPositions, jointTorquesExternal
+from leap_rig.cockpit.frame_poses import FramePoses, Pose7
+from leap_rig.lerobot.actions import ACTION, FINGERS, POSE, ActionStream
+from leap_rig.lerobot.server import LerobotServer
+from leap_rig.recording.dataset import camera_name
+from leap_rig.recording.topics import COLOR
+from reflex_msgs.msg import Hand, RadianServoCommands
+
+SILENT_S, NO_IMAGE_S = 0.5, 2.0  # an older observation is a fault
+HAND_STEERS_S = 1.0  # after a desired tool of another node no action is taken
+PERIOD_S = 0.01
+READ_BYTES = 2**22  # of a subscriber's buffer: rospy's own is smaller than an image
+JOINTS = tuple(f"kuka_joint_{i}" for i in range(1, 8))
+
+
+class RigDesk:
+    """Answers requests by what the rig has published last."""
+
+    def __init__(self, cameras: Mapping[str, str], quality: int, moves: bool) -> None:
+        self._cameras, self._quality, self._moves = cameras, quality, moves
+        self._lock = clock.Lock()
+        self._newest: dict[str, tuple[float, Any]] = {}
+        self._poses, self._stream, self._steered = FramePoses(), ActionStream(), -HAND_STEERS_S
+        self._fingers: tuple[float, ...] = ()
+        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._hand = rospy.Publisher(HAND.commands[0], RadianServoCommands, queue_size=1)
+        for topic, kind in (
+            ("kuka/joint_positions", jointPositions),
+            ("kuka/joint_torques_external", jointTorquesExternal),
+            (HAND.state, Hand),
+            (HAND.commands[0], RadianServoCommands),
+        ):
+            rospy.Subscriber(topic, kind, partial(self._keep, topic), queue_size=1, tcp_nodelay=True)
+        for name, topic in cameras.items():
+            rospy.Subscriber(topic, Image, partial(self._keep, name), queue_size=1, buff_size=READ_BYTES)
+        for topic in ("/tf", "/tf_static"):
+            rospy.Subscriber(topic, TFMessage, partial(self._transforms, topic), queue_size=100, tcp_nodelay=True)
+
+    def answer(self, request: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
+        """Answers one request; raises RigError where it cannot."""
+        what = request.get("do")
+        if what == "hello":
+            return {"moves": self._moves, "action": ACTION, "cameras": list(self._cameras)}, {}
+        if what == "observe":
+            return {"state": self._state()}, {name: self._image(name) for name in self._cameras}
+        if what == "intent":
+            return {"action": self._intent()}, {}
+        if what == "act" and isinstance(request.get("action"), dict):
+            return {"refused": self._act(request["action"])}, {}
+        raise DeviceError(f"The request is {what!r}, but must be hello, observe, intent, or act with an action.")
+
+    def publish(self) -> None:
+        """Publishes the desired tool and the fingers while actions come."""
+        with self._lock:
+            tool, fingers = self._stream.step(clock.monotonic()), self._fingers
+        if tool is None:
+            return
+        transform = Transform(Vector3(*tool[:3]), Quaternion(*tool[3:]))
+        self._broadcaster.sendTransform(TransformStamped(Header(0, rospy.Time.now(), BASE), TOOL_DESIRED, transform))
+        self._hand.publish(RadianServoCommands(fingers))
+
+    def _keep(self, key: str, message: Any) -> None:
+        with self._lock:
+            self._newest[key] = clock.monotonic(), message
+
+    def _transforms(self, topic: str, message: TFMessage) -> None:
+        now = clock.monotonic()
+        mine = publisher_of(message) == rospy.get_name()
+        with self._lock:
+            for one in message.transforms:
+                child, p, q = frame_name(one.child_frame_id), one.transform.translation, one.transform.rotation
+                if child == TOOL_DESIRED and not mine:
+                    self._steered = now
+                received = float("inf") if topic == "/tf_static" else now
+                self._poses.put(frame_name(one.header.frame_id), child, (p.x, p.y, p.z, q.x, q.y, q.z, q.w), received)
+
+    def _of(self, key: str, oldest: float = SILENT_S) -> Any:
+        with self._lock:
+            at, message = self._newest.get(key, (-oldest, None))
+        age = clock.monotonic() - at
+        if message is None or age > oldest:
+            since = "yet" if message is None else f"for {age:.1f} s"
+            raise DeviceError(f"{key} has said nothing {since}, so there is no observation.")
+        return message
+
+    def _tool(self, frame: str) -> Pose7 | None:
+        """Returns the pose of a frame in the base; None if it is old or does not lead there."""
+        with self._lock:
+            fresh = clock.monotonic() - self._poses.received(frame) < SILENT_S
+            chain = self._poses.chain(frame) if fresh else None
+        return chain[1] if chain is not None and chain[0] == BASE else None
+
+    def _state(self) -> dict[str, float]:
+        joints, torques = self._of("kuka/joint_positions"), self._of("kuka/joint_torques_external")
+        tool = self._tool(TOOL_MEASURED)
+        if tool is None:
+            raise DeviceError(f"{TOOL_MEASURED} has said nothing, so there is no observation.")
+        state = {f"{name}.pos": getattr(joints, f"joint_{i}") for i, name in enumerate(JOINTS, 1)}
+        state.update({f"{name}.torque": getattr(torques, f"joint_{i}") for i, name in enumerate(JOINTS, 1)})
+        return {**state, **dict(zip(FINGERS, self._angles())), **dict(zip(POSE, tool))}
+
+    def _angles(self) -> list[float]:
+        return hand_state(self._of(HAND.state)).angles.tolist()
+
+    def _image(self, name: str) -> bytes:
+        try:
+            return bytes(jpeg_from_image(self._of(name, NO_IMAGE_S), self._quality).data)
+        except ValueError as error:
+            raise DeviceError(f"The image of {name} cannot be read: {error}.") from error
+
+    def _intent(self) -> dict[str, float]:
+        """Returns what the operator wants: the desired tool and the commanded fingers; without, where they are."""
+        tool = self._tool(TOOL_DESIRED) or self._tool(TOOL_MEASURED)
+        if tool is None:
+            raise DeviceError("Nothing says where the tool is, so there is no action.")
+        try:
+            fingers = list(self._of(HAND.commands[0]).radian_commands)
+        except RigError:
+            fingers = self._angles()
+        return {**dict(zip(POSE, tool)), **dict(zip(FINGERS, fingers))}
+
+    def _act(self, action: Mapping[str, Any]) -> str:
+        """Takes an action; returns why it does not, a sentence, or nothing."""
+        if not self._moves:
+            return "lerobot_server.py runs without --moves, so no action is taken."
+        measured, now = self._tool(TOOL_MEASURED), clock.monotonic()
+        with self._lock:
+            if now - self._steered < HAND_STEERS_S:
+                return "Another node steers the tool, so no action is taken."
+            refused = self._stream.take(action, measured, now)
+            if not refused:
+                self._fingers = tuple(float(action[name]) for name in FINGERS)
+        return refused
+
+
+def main() -> None:
+    options = _parser().parse_args(rospy.myargv()[1:])
+    run_program("lerobot_server", lambda: serve(options), "Interrupted.")
+
+
+def serve(options: argparse.Namespace) -> int:
+    """Serves until it is interrupted; returns the exit code."""
+    join("lerobot_server")
+    interrupted = clock.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: interrupted.set())
+    desk = RigDesk({camera_name(topic): topic for topic in options.camera}, options.quality, options.moves)
+    path = options.socket or Path(os.environ.get("ROS_HOME") or home() / ".ros") / "leap_rig" / "lerobot.sock"
+    server = LerobotServer(path, desk.answer)
+    may = "may move the tool" if options.moves else "only reads"
+    print(f"LeRobot {may}, by {path}.", flush=True)
+    try:
+        while not interrupted.wait(PERIOD_S) and not rospy.is_shutdown():
+            desk.publish()
+    finally:
+        server.close()
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="lerobot_server.py", description=__doc__.partition("\n")[0])
+    parser.add_argument("--moves", action="store_true", help="actions become the desired tool, where no hand steers")
+    where = "file of the socket (default: ~/.ros/leap_rig/lerobot.sock)"
+    parser.add_argument("--socket", type=Path, metavar="FILE", help=where)
+    images = f"topics of its images (default: {COLOR}); none: no images"
+    parser.add_argument("--camera", nargs="*", default=[COLOR], metavar="TOPIC", help=images)
+    parser.add_argument("--quality", type=whole(10, 100), default=90, help="of the JPEG images [%%], default 90")
+    return parser

@@ -1,0 +1,161 @@
+"""What lerobot_server.py answers by what the rig publishes, and what it publishes itself."""
+
+import numpy as np
+import pytest
+
+from common import clock
+from common.errors import DeviceError
+from leap_rig.lerobot.actions import ACTION
+
+pytest.importorskip("reflex_msgs.msg")
+import rospy
+import tf2_ros
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from kuka_msgs.msg import jointPositions, jointTorquesExternal
+from leap_rig.lerobot.ros import server_program
+from leap_rig.lerobot.ros.server_program import RigDesk, _parser
+from reflex_msgs.msg import Finger, Hand, Motor, RadianServoCommands
+
+pytestmark = pytest.mark.ros
+DESIRED, MEASURED = "kuka/tool_frame/desired", "kuka/tool_frame/measured"
+LATE_S = 0.1
+
+
+class PublishedRig:
+    """Publishes what the rig does; `without` it leaves out."""
+
+    def __init__(self):
+        self.topics = {
+            topic: rospy.Publisher(topic, type(message), queue_size=10) for topic, message in self.messages().items()
+        }
+        self.tf = tf2_ros.TransformBroadcaster()
+
+    def messages(self):
+        return {
+            "kuka/joint_positions": jointPositions(Header(), *np.arange(7.0)),
+            "kuka/joint_torques_external": jointTorquesExternal(Header(), *np.arange(7.0)),
+            "reflex_takktile/hand_state": Hand(
+                motor=[Motor(joint_angle=0.1 * i) for i in range(4)], finger=[Finger() for _ in range(3)]
+            ),
+            "camera/rgb/image_raw": Image(Header(), 48, 64, "rgb8", 0, 192, bytes([200, 60, 30]) * (48 * 64)),
+        }
+
+    def publish(self, *without, tool=0.5):
+        for topic, message in self.messages().items():
+            if topic not in without:
+                self.topics[topic].publish(message)
+        if MEASURED not in without:
+            self.place(MEASURED, tool)
+        clock.sleep(LATE_S)
+
+    def place(self, frame, x):
+        at = Transform(Vector3(x, 0.0, 0.4), Quaternion(0.0, 0.0, 0.0, 1.0))
+        self.tf.sendTransform(TransformStamped(Header(0, rospy.Time.now(), "kuka/base_frame"), frame, at))
+
+
+@pytest.fixture
+def published(virtual_graph):
+    return PublishedRig()
+
+
+def desk(moves=True):
+    made = RigDesk({"color": "camera/rgb/image_raw"}, 90, moves)
+    clock.sleep(LATE_S)
+    return made
+
+
+def action(x=0.5):
+    return dict(zip(ACTION, (x, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.0)))
+
+
+def test_an_observation_is_what_came_last(published):
+    rig = desk()
+    published.publish()
+    said, images = rig.answer({"do": "observe"})
+    state = said["state"]
+    assert [state[f"kuka_joint_{i}.pos"] for i in range(1, 8)] == list(range(7)) and state["kuka_joint_7.torque"] == 6.0
+    assert state["spread.pos"] == pytest.approx(0.3) and state["tool.x"] == 0.5 and state["tool.qw"] == 1.0
+    assert images["color"].startswith(b"\xff\xd8")
+
+
+@pytest.mark.parametrize(
+    "silent", ["kuka/joint_positions", "kuka/joint_torques_external", "reflex_takktile/hand_state", MEASURED]
+)
+def test_of_a_device_that_is_silent_there_is_no_observation(published, silent):
+    rig = desk()
+    published.publish(silent)
+    with pytest.raises(DeviceError, match=f"{silent} has said nothing"):
+        rig.answer({"do": "observe"})
+    published.publish()
+    rig.answer({"do": "observe"})
+    for _ in range(6):
+        published.publish(silent)
+    with pytest.raises(DeviceError, match=f"{silent} has said nothing"):
+        rig.answer({"do": "observe"})
+
+
+def test_a_camera_that_is_silent_is_named(published):
+    rig = desk()
+    published.publish("camera/rgb/image_raw")
+    with pytest.raises(DeviceError, match="color has said nothing yet"):
+        rig.answer({"do": "observe"})
+
+
+def test_the_intent_is_what_the_hand_commands_else_where_the_rig_is(published):
+    rig, fingers = desk(), rospy.Publisher("reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1)
+    with pytest.raises(DeviceError, match="where the tool is"):
+        rig.answer({"do": "intent"})
+    published.publish()
+    found = rig.answer({"do": "intent"})[0]["action"]
+    assert (found["tool.x"], found["spread.pos"]) == (0.5, pytest.approx(0.3)) and found.keys() == set(ACTION)
+    published.place(DESIRED, 0.6)
+    fingers.publish(RadianServoCommands([0.75] * 4))
+    clock.sleep(LATE_S)
+    found = rig.answer({"do": "intent"})[0]["action"]
+    assert (found["tool.x"], found["spread.pos"]) == (0.6, 0.75)
+
+
+def test_actions_become_the_desired_tool_until_a_hand_steers(published, virtual_graph):
+    rig, sent, hand = desk(), [], virtual_graph.record("reflex_takktile/radian_hand_command", RadianServoCommands)
+    rospy.Subscriber("/tf", TFMessage, lambda message: sent.extend(message.transforms))
+    published.publish()
+    rig.publish()
+    assert rig.answer({"do": "act", "action": action(0.52)})[0] == {"refused": ""}
+    for _ in range(10):
+        clock.sleep(0.03)
+        rig.publish()
+    clock.sleep(LATE_S)
+    mine = [one.transform.translation.x for one in sent if one.child_frame_id == DESIRED]
+    assert len(mine) == 10 and mine[0] == pytest.approx(0.5075) and mine[-1] == pytest.approx(0.52)
+    assert np.diff(mine).min() >= 0.0 and len(hand) == 10
+    clock.sleep(0.6)
+    rig.publish()
+    assert len(hand) == 10, "nothing is published without actions"
+
+
+def test_where_another_node_steers_or_nothing_may_move_actions_are_refused(published, monkeypatch):
+    rig = desk()
+    published.publish()
+    assert "more than 150 mm" in rig.answer({"do": "act", "action": action(0.7)})[0]["refused"]
+    monkeypatch.setattr(server_program, "publisher_of", lambda _: "/leap_kuka")
+    published.place(DESIRED, 0.5)
+    clock.sleep(LATE_S)
+    published.publish(MEASURED)
+    assert "Another node steers" in rig.answer({"do": "act", "action": action()})[0]["refused"]
+    assert "without --moves" in desk(moves=False).answer({"do": "act", "action": action()})[0]["refused"]
+
+
+@pytest.mark.parametrize("request_", [{}, {"do": "stop"}, {"do": "act"}, {"do": "act", "action": [1.0]}])
+def test_another_request_is_refused(published, request_):
+    with pytest.raises(DeviceError, match="must be hello"):
+        desk().answer(request_)
+    assert desk(False).answer({"do": "hello"})[0] == {"moves": False, "action": ACTION, "cameras": ["color"]}
+
+
+def test_the_options_have_defaults():
+    options = _parser().parse_args([])
+    assert (options.moves, options.camera, options.quality) == (False, ["/camera/rgb/image_raw"], 90)
