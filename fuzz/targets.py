@@ -240,6 +240,61 @@ def sunrise_commands(lines: Any) -> None:
         assert started or np.array_equal(arm.q, before), "the arm moved without a start"
 
 
+ROBOT_STARTS = ("doPTP", "startDirectServoJoints", "lrFloat", "lrGuide", "lrResume")
+ROBOT_NUMBERS = (0.0, 0.1, -0.5, 1.0, 7.0, 1e-3, 3.2, 100.0, 300.0, 1e308, 1e999, -0.0, math.nan)
+
+
+def _robot_words() -> st.SearchStrategy[Any]:
+    from rig_simulation.devices.sunrise.leap_rig_words import WORDS
+
+    opening = ("lrHello_1_", "lrTool_1_0_0_60_0_0_106_0_0_0_", "startDirectServoJoints", "jRelVel_0.5_")
+    numbers = st.lists(st.one_of(st.sampled_from(ROBOT_NUMBERS), st.floats(-4.0, 4.0)), max_size=14)
+    made = st.builds(
+        lambda word, numbers, right: f"{word.text.rstrip('_')}_{''.join(f'{x}_' for x in numbers[: word.most or 99])}"
+        if right else f"{word.text}{numbers}",
+        st.sampled_from(WORDS), numbers, st.booleans(),
+    )  # fmt: skip
+    seeds = [line.encode() for line in (*opening, *KST_LINES)]
+    line = st.one_of(st.sampled_from(seeds), made.map(str.encode), near(seeds, edited_bytes))
+    happens = st.sampled_from(("", "", "", "second", "push", "enabling", "stop"))
+    return st.lists(st.tuples(line, st.sampled_from((0.0, 0.004, 0.15, 0.5)), happens), min_size=1, max_size=14)
+
+
+@target(_robot_words, cost=30.0)
+def robot_application(lines: Any) -> None:
+    """Lines to the simulated robot application, whose client then goes: whole lines answer, and an arm that was not
+    started stays; afterwards it rests."""
+    from rig_simulation.devices.sunrise.application import ControllerIO
+    from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
+    from rig_simulation.devices.sunrise.java_text import RobotLineSplitter
+    from rig_simulation.devices.sunrise.leap_rig import LeapRigApplication
+
+    arm = SimulatedArm(_robot(), ArmSettings())
+    application, splitter, now, started = LeapRigApplication(arm, ControllerIO()), RobotLineSplitter(), 0.0, False
+    for data, pause, happens in lines:
+        for line in splitter.feed(data + b"\n"):
+            started |= line.startswith(ROBOT_STARTS)
+            said = application.second(line, now) if happens == "second" else application.receive(line, now)
+            assert said.isascii() and said.endswith("\n") if said else not said, said
+        if happens == "push":
+            arm.set_tool_force(np.array([0.0, 40.0 if not arm.tool_force.any() else 0.0, 0.0]))
+        elif happens == "enabling":
+            arm.enabling = not arm.enabling
+        elif happens == "stop":
+            application.stop()
+        now += pause
+        assert application.advance(now).isascii()
+        finite(arm.q, "the arm's joints")
+        assert started or not arm.q.any(), "the arm moved without a start"
+    application.abandon()
+    for _ in range(30):
+        now += 0.1
+        application.advance(now)
+    assert not application.busy and not arm.v.any() and not arm.in_servo, (
+        "a client that is gone leaves an arm that moves"
+    )
+
+
 _ROBOT: list[Any] = []
 
 

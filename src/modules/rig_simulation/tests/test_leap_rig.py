@@ -147,6 +147,15 @@ def test_a_stop_brings_whatever_moves_to_rest(start):
     )
 
 
+def test_a_lost_client_ends_a_servo_mode_that_moves():
+    client = Client()
+    client.move("startDirectServoJoints", 0.6)
+    client.events()
+    client.application.abandon()
+    client.until(lambda: client.arm.resting, 0.15)
+    assert client.events() == ["servo mode ends: the client is gone"]
+
+
 @pytest.mark.parametrize("seconds", [0.15, 0.3, 0.8])
 def test_a_motion_stops_from_its_present_speed_within_the_arms_limits(seconds):
     client = Client(speed_limit=10.0)

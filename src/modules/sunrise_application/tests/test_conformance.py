@@ -85,6 +85,8 @@ OURS_GOALS = [
     ("lrSoftTool_9_9_9_9_9_9_0.7_1_9_9_9_1_", "ok_lrSoftTool_9.0_9.0_9.0_9.0_9.0_9.0_0.7_1.0_9.0_9.0_9.0_1.0_\n"),
     ("doPTP!inJS_0_-10_", NAK), ("startDirectServoJoints", DONE), ("lrStiff_", "no_lrStiff_the arm is not at rest_\n"),
 ]  # fmt: skip
+SOFT_JOINTS = "lrSoftJoints_300_300_300_300_200_100_50_0.7_"
+SOFT_TOOL = "lrSoftTool_2000_2000_2000_200_200_200_0.7_50_200_50_500_2_"
 SIMULATED = "import sys; from rig_simulation.devices.sunrise.program import main; sys.exit(main(sys.argv[1:]))"
 
 
@@ -165,6 +167,12 @@ class Simulated:
     def push(self, newton):
         self.control.ask("set_tcp_force", value=[0, newton, 0])
 
+    def press(self, pressed):
+        self.control.ask("set_enabling", value=pressed)
+
+    def weigh_otherwise(self):
+        """What is on the flange weighs 1.1 kg anyway."""
+
 
 class OnStubs:
     """The robot application, in time that is slow; its motions last until they are stopped."""
@@ -176,6 +184,12 @@ class OnStubs:
 
     def push(self, newton):
         self.server.say(force=f"0,{newton},0")
+
+    def press(self, pressed):
+        self.server.say(enabling="HANDGUIDING" if pressed else "NONE")
+
+    def weigh_otherwise(self):
+        self.server.say(load="false")
 
 
 @pytest.fixture(params=["simulated", pytest.param("application", marks=pytest.mark.long)])
@@ -293,3 +307,41 @@ def test_a_second_and_the_next_client_are_answered_alike(ours):
         stopper.close()
         stopper = ours.connect()
     assert stopper.ask("lrState_").startswith("state_IDLE_"), "the arm has stopped before the next one is served"
+
+
+def test_a_released_switch_ends_hand_guiding_alike(ours):
+    client, second = joined(ours, "2_60")
+    assert client.ask(TOOL).startswith("ok_") and client.ask("lrGuide_") == "ok_lrGuide_\n"
+    until(second, "MOTION")
+    ours.press(True)
+    until(second, "MOTION")
+    clock.sleep(0.1)
+    ours.press(False)
+    assert client.hear() == "done\n"
+    until(second, "IDLE")
+
+
+@pytest.mark.parametrize("soft", [SOFT_JOINTS, SOFT_TOOL])
+def test_a_client_lost_while_the_arm_is_soft_is_answered_alike(ours, soft):
+    client, second = joined(ours, "2_60")
+    for line in (TOOL, soft):
+        assert client.ask(line).startswith("ok_"), line
+    begin(client, "startDirectServoJoints")
+    assert second.hear().startswith("event_servo mode begins, ")
+    client.close()
+    assert second.hear() == "event_servo mode ends: the client is gone_\n"
+    assert second.hear() == "", "the session is over"
+    other = ours.connect()
+    while not other.ask("lrHello_1_").startswith("ok_"):
+        other.close()
+        other = ours.connect()
+    assert other.ask(soft) == f"no_{soft.split('_')[0]}_the tool's mass is not known: say lrTool first_\n"
+
+
+@pytest.mark.parametrize("line", [SOFT_JOINTS, SOFT_TOOL, "lrFloat_"])
+def test_a_wrong_mass_is_refused_alike(ours, line):
+    client = joined(ours, "2_60")[0]
+    ours.weigh_otherwise()
+    assert client.ask("lrTool_4_500_0_0_0_0_106_0_0_0_") == "ok_lrTool_4.0_500.0_0.0_0.0_\n"
+    refusal = "the controller's load check fails: mass, centre or pose are wrong"
+    assert client.ask(line) == f"no_{line.split('_')[0]}_{refusal}_\n"

@@ -3,6 +3,7 @@ package leaprig;
 import static leaprig.Bench.check;
 import static leaprig.Bench.equal;
 
+import java.lang.management.ManagementFactory;
 import java.lang.reflect.InvocationTargetException;
 import java.lang.reflect.Method;
 import java.util.Random;
@@ -708,4 +709,21 @@ public final class UnitTests {
 
     /** Random lines and times: nothing is thrown, and the arm is asked for nothing that FakeArm refuses. */
     public void nothingThatIsSaidCrashesIt() { Fuzz.run(20261129, 300); }
+
+    public void theServoLoopAllocatesNothing() {
+        com.sun.management.ThreadMXBean threads = (com.sun.management.ThreadMXBean) ManagementFactory.getThreadMXBean();
+        for (String soft : new String[] {"lrStiff_", "lrSoftJoints_300_300_300_300_200_100_50_0.7_"}) {
+            Bench bench = new Bench();
+            bench.hello();
+            bench.ask("lrWatchdog_2_60_");
+            bench.ask("lrTool_1_0_0_60_0_0_106_0_0_0_");
+            check(bench.ask(soft).startsWith("ok_"), soft);
+            equal("done\n", bench.ask("startDirectServoJoints"));
+            bench.run(0.5);
+            long cycles = 1000, before = threads.getThreadAllocatedBytes(Thread.currentThread().getId());
+            bench.run(cycles * Bench.CYCLE);
+            long bytes = threads.getThreadAllocatedBytes(Thread.currentThread().getId()) - before;
+            check(bench.arm.servoing && bytes < cycles, bytes + " bytes in " + cycles + " cycles");
+        }
+    }
 }

@@ -8,6 +8,7 @@ import java.nio.file.Files;
 import java.nio.file.Paths;
 import java.util.List;
 import java.util.Properties;
+import java.util.function.BooleanSupplier;
 import java.util.function.DoubleFunction;
 
 /**
@@ -15,7 +16,8 @@ import java.util.function.DoubleFunction;
  * sim.model (7 or 14), sim.flange (m), sim.q0 (seven rad, commas),
  * sim.tau_ext, sim.tau_msr (seven Nm), sim.force, sim.moment (three, N and Nm, in the tool frame),
  * sim.values (a properties file, read again at each query: those torques and forces less the prefix, and
- * speed, a factor on time, mode, enabling, stop), sim.impedance_ok (false: the load check fails), sim.snap (true: the servo jumps to its goal).
+ * speed, a factor on time, mode, enabling, stop, load (false: the load check fails)),
+ * sim.snap (true: the servo jumps to its goal).
  */
 public final class SimRobot {
     public static final boolean R820 = "14".equals(System.getProperty("sim.model", "7"));
@@ -163,15 +165,27 @@ public final class SimRobot {
         });
     }
 
-    /** A motion that nothing ends but a cancel. */
-    public static IMotionContainer hold() { return follow(1e9, java.util.Collections.<ICondition>emptyList(), s -> joints()); }
+    /** A motion that ends when the enabling switch of the hand guiding is released, or is cancelled. */
+    public static IMotionContainer guide() {
+        note("move");
+        boolean[] pressed = {false};
+        return begin(new Run(1e9, java.util.Collections.<ICondition>emptyList(), s -> joints(), () -> {
+            boolean now = "HANDGUIDING".equals(word("enabling", "NORMAL"));
+            boolean released = pressed[0] && !now;
+            pressed[0] |= now;
+            return released;
+        }));
+    }
 
     /** What a servo motion gives back; its runtime ends it. */
     public static IMotionContainer servo() { return null; }
 
     private static IMotionContainer follow(double seconds, List<ICondition> stop, DoubleFunction<double[]> at) {
         note("move");
-        Run run = new Run(seconds, stop, at);
+        return begin(new Run(seconds, stop, at, () -> false));
+    }
+
+    private static IMotionContainer begin(Run run) {
         Thread thread = new Thread(run, "motion");
         thread.setDaemon(true);
         thread.start();
@@ -184,14 +198,16 @@ public final class SimRobot {
         private final double seconds;
         private final List<ICondition> stop;
         private final DoubleFunction<double[]> at;
+        private final BooleanSupplier over;
         private volatile boolean cancelled;
         private volatile boolean finished;
         private volatile ICondition fired;
 
-        Run(double seconds, List<ICondition> stop, DoubleFunction<double[]> at) {
+        Run(double seconds, List<ICondition> stop, DoubleFunction<double[]> at, BooleanSupplier over) {
             this.seconds = seconds;
             this.stop = stop;
             this.at = at;
+            this.over = over;
         }
 
         @Override
@@ -207,7 +223,7 @@ public final class SimRobot {
                 done += rate * dt * speed();
                 double u = seconds <= 0 ? 1 : Math.min(1, done / seconds);
                 place(at.apply(u * u * (3 - 2 * u)));
-                if (u >= 1 || rate == 0) break;
+                if (u >= 1 || rate == 0 || over.getAsBoolean()) break;
                 for (ICondition each : stop) if (fired == null && each.fired()) fired = each;
                 com.kuka.common.ThreadUtil.milliSleep(2);
             }

@@ -185,6 +185,8 @@ class LeapRigApplication(Application):
 
     def abandon(self) -> None:
         self._ending, self._paused = "the client is gone", False
+        if self._serving:
+            self._end_servo(self._ending)
         super().abandon()
 
     def _take(self, request: Request) -> None:

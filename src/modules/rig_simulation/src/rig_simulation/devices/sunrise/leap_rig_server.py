@@ -141,11 +141,6 @@ class LeapRigServer(SunriseServer):
             if self._channel is not None:
                 self._say(self._channel, words.event(sentence))
 
-    def _close_client(self) -> None:
-        super()._close_client()
-        if self._channel is not None:
-            self._dismiss(self._channel)
-
     def _reset_waiting_clients(self) -> None:
         """Resets who waits while the connection is cut; the end of a client is no end for the others."""
         if self.faults.is_on("cut"):
@@ -169,6 +164,8 @@ class LeapRigServer(SunriseServer):
             self._start_application()
         if self._served and self._client is None and not self._application.busy and not self._arm.v.any():
             self._served = False
+            if self._channel is not None:
+                self._dismiss(self._channel)
             self._application, self._waiting_since = self._new_application(), clock.monotonic()
             if self._settings.end_exits:
                 self._stop.set()

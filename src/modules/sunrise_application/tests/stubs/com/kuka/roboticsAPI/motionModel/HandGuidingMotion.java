@@ -2,8 +2,8 @@ package com.kuka.roboticsAPI.motionModel;
 
 import kstsim.SimRobot;
 
-/** Stands still until it is cancelled: nobody guides the stub. */
+/** Stands still: nobody guides the stub. */
 public class HandGuidingMotion implements IMotion {
     @Override
-    public IMotionContainer start(double[][] tool) { return SimRobot.hold(); }
+    public IMotionContainer start(double[][] tool) { return SimRobot.guide(); }
 }
