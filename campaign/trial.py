@@ -38,10 +38,11 @@ VARIANTS: dict[str, dict[str, str]] = {
     SHIFTED: {},
     SIMULATED: {},
     "deaf": {"robot_args": "--deaf-after-lost-client"},
+    "watched": {"robot_server": "leap_rig", "robot_args": "--tool-weight"},
 }
 """The rigs that rows run on, as arguments of rig.launch, all with the parameters as shipped: with objects, a camera and
-the nodes that propose grasps, with another clock (campaign.clocks), or with a server that is deaf after it has lost its
-client, as the published one is.
+the nodes that propose grasps, with another clock (campaign.clocks), with a server that is deaf after it has lost its
+client, as the published one is, or with the robot application, which watches its client and weighs the tool.
 
 Behind a slash a variant names a wire, such as "shipped/arm": its link may become bad, see Trial.link.
 """
