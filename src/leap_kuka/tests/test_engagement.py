@@ -18,7 +18,7 @@ from common.rotations import rotation_from_zyx
 from golden.chain import parsed
 from leap_kuka.config import ArmPlacement
 from leap_kuka.engagement import TRANSITIONS, EngagementState, EngagementTrigger, Tool, When, next_state
-from leap_kuka.numbers import DEVICE_SILENCE_S, MAX_SILENCE_S
+from leap_kuka.numbers import DEVICE_SILENCE_S, LEAD_NEAR_M, MAX_SILENCE_S
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
@@ -52,6 +52,7 @@ KINDS = {  # relative or not, hold_time, whether devices enable, clutch and choo
 }
 
 
+STEPS = {"near": 0.01, "here": 0.0, "far": 0.2, "no number": math.nan}  # of a program, upwards [m]
 STOPS = ("clutch", "release", "silence", "other arm")
 
 
@@ -60,6 +61,7 @@ class Engagement(RuleBasedStateMachine):
 
     @initialize(kind=st.sampled_from([*KINDS, "switched"]), known=st.booleans(), engaged=st.booleans())
     def begin(self, kind, known, engaged=False):
+        self.kind = kind
         relative, hold_time, switched = KINDS[kind]
         changes = {"engagement": "relative" if relative else "absolute", "hold_time": hold_time}
         if switched:
@@ -73,7 +75,7 @@ class Engagement(RuleBasedStateMachine):
         self.hands, self.now, self.number = {}, 50.0, 0
         self.outside, self.may = {}, set()  # frames in a row outside of the box; hands that came in while control is on
         self.seen = {}  # hands as they were seen last, and when [s]
-        self.last = self.sent = None
+        self.last = self.sent = self.led = None
         self.told = known
         self.frames(1)
         if engaged:
@@ -174,6 +176,20 @@ class Engagement(RuleBasedStateMachine):
         self.pressed, self.clutched, self.device_there, self.chosen = pressed, clutched, there, chosen
         self.drift()
 
+    @rule(step=st.sampled_from([*STEPS]), frames=st.integers(1, 5), silent=st.booleans())
+    def program(self, step, frames, silent):
+        """A program steers: some steps, and then it goes on as long as frames come, or is silent."""
+        for _ in range(frames):
+            self.lead(STEPS[step])
+            self.frames(1)
+        if silent:
+            self.frames(25)
+
+    def lead(self, step):
+        T = np.array(self.tool if self.sent is None else self.sent)
+        T[2, 3] += step
+        self.led = T if not self.teleop.lead(T, self.now) else None
+
     @rule(mode=st.sampled_from(["stopped", "moving", "holding", "pick_up", "servo", "home"]))
     def arm(self, mode):
         self.mode = mode
@@ -237,6 +253,10 @@ class Engagement(RuleBasedStateMachine):
             return
         tool, running = result.T_base_virtual @ result.T_virtual_tool, result.state is StreamState.RUNNING
         moved = self.sent is None or not np.allclose(tool, self.sent, atol=1e-9)
+        led, self.led = self.led, None
+        if led is not None and result.hold is HoldState.LED and np.allclose(tool, led, atol=1e-9):
+            self.judge_program(result)
+            return
         if self.sent is None and result.hold is HoldState.NONE:
             assert running, "a tool appears only for a hand"
         if moved and self.sent is not None:
@@ -247,6 +267,16 @@ class Engagement(RuleBasedStateMachine):
         if self.switched:
             silence = self.now - self.reported_at
             assert self.chosen and self.reported == (True, False) and silence <= DEVICE_SILENCE_S, result.reason
+
+    def judge_program(self, result):
+        assert self.kind in ("kept", "switched") and result.owner is None and not result.follows
+        assert self.sent is None or np.linalg.norm(self.led_step(result)) <= LEAD_NEAR_M + 1e-9
+        if self.switched:
+            silence = self.now - self.reported_at
+            assert self.chosen and self.reported == (True, False) and silence <= DEVICE_SILENCE_S, result.reason
+
+    def led_step(self, result):
+        return (result.T_base_virtual @ result.T_virtual_tool - self.sent)[:3, 3]
 
 
 def test_the_machine_engages():
@@ -266,12 +296,76 @@ def test_the_machine_tries_each_stop(stop):
     assert not machine.last.follows
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_machine_is_led_where_the_tool_can_stay(kind):
+    machine = Engagement()
+    machine.begin(kind, True)
+    machine.switch(True)
+    machine.press()
+    machine.program("near", 5, False)
+    assert (machine.last.hold is HoldState.LED) == (kind in ("kept", "switched"))
+    if kind in ("kept", "switched"):
+        assert machine.sent[2, 3] == pytest.approx(HOME[2, 3] + 0.05)
+        machine.frames(25)
+        assert machine.last.hold is HoldState.KEPT and "the program is silent" in machine.last.reason
+        machine.program("near", 1, False)
+        machine.come_in(2)
+        machine.drift()
+        assert machine.last.follows and machine.teleop.lead(machine.sent, machine.now) == "a hand is followed"
+
+
+LEAD_REFUSED = {
+    "clutch": "the clutch is pressed",
+    "release": "the enabling device is not pressed",
+    "other arm": "the hand steers the other arm",
+    "control off": "control of the arm is off",
+    "far": "its pose is 200 mm and 0 deg from the tool",
+    "turned": "its pose is 0 mm and 30 deg from the tool",
+    "no number": "4 x 4 finite numbers",
+    "too near": "it is too near to the base, behind it or below its foot",
+    "mode": "its controller is in the mode holding",
+}
+
+
+@pytest.mark.parametrize("why", LEAD_REFUSED)
+def test_a_program_that_may_not_is_refused_and_the_tool_stays(why):
+    machine = Engagement()
+    machine.begin("switched", True)
+    machine.switch(True)
+    machine.press()
+    machine.program("near", 3, False)
+    assert machine.last.hold is HoldState.LED
+    where, T = np.array(machine.sent), np.array(machine.sent)
+    machine.clutched, machine.pressed, machine.chosen = why == "clutch", why != "release", why != "other arm"
+    if why == "control off":
+        machine.teleop.control(False, "servo", 1.0, machine.now)
+    elif why == "mode":
+        machine.teleop.control(True, "holding", 1.0, machine.now)
+    elif why in LEAD_REFUSED and why in STOPS:
+        machine.frames(1)
+        assert machine.last.hold is HoldState.KEPT, "also without a further pose"
+        T[2, 3] += 0.01
+    elif why == "far":
+        T[2, 3] += 0.2
+    elif why == "turned":
+        T = T @ pose(rotation_from_zyx(math.radians(30.0), 0.0, 0.0), np.zeros(3))
+    elif why == "no number":
+        T[0, 3] = math.nan
+    else:
+        T[:3, 3] = (-0.4, 0.0, 0.3)
+    assert LEAD_REFUSED[why] in machine.teleop.lead(T, machine.now)
+    machine.frames(1)
+    assert machine.last.hold is not HoldState.LED
+    assert machine.sent is None or np.allclose(machine.sent, where)
+
+
 TestEngagement = Engagement.TestCase
 TestEngagement.settings = settings(max_examples=50, stateful_step_count=15, deadline=None)
 
 
 def test_the_tool_moves_only_in_one_state_and_each_end_is_a_rest():
     assert [state for state in EngagementState if state.tool is Tool.FOLLOWS] == [EngagementState.STEERING]
+    assert [state for state in EngagementState if state.tool is Tool.LED] == [EngagementState.LED]
     for row in TRANSITIONS:
         for source in row.sources:
             if source.running and not row.target.running:

@@ -49,6 +49,8 @@ class ReasonCode(str, Enum):
     ARM_LEFT = "arm_left"
     HOLD = "hold"
     EXPIRED = "expired"
+    LED = "led"  # by a program
+    LEAD_LOST = "lead_lost"
 
 
 @dataclass(frozen=True)

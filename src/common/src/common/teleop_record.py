@@ -13,6 +13,7 @@ RUNNING = "running"
 CLUTCHED = "clutched"
 HELD = "held"
 TAKEN = "taken"
+LED = "led"
 NO_HOLD = "none"
 
 

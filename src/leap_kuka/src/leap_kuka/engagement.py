@@ -17,6 +17,7 @@ class Tool(Enum):
     GONE = "is not published; the arm brakes, and goes home after `time_out`"
     STAYS = "stays"
     FOLLOWS = "follows the hand"
+    LED = "follows a program"
 
 
 class EngagementState(Enum):
@@ -28,7 +29,8 @@ class EngagementState(Enum):
     STEERING = Tool.FOLLOWS, True, "the same hand"
     STAYING = Tool.STAYS, True, "the same hand, once it is seen and the tracker is fast enough"
     PAUSED = Tool.STAYS, True, "the same hand, once it may, anywhere in view, in any orientation"
-    KEPT = Tool.STAYS, False, "a hand that comes in"
+    KEPT = Tool.STAYS, False, "a hand that comes in, or a program"
+    LED = Tool.LED, False, "a hand that comes in"
 
     def __init__(self, tool: Tool, owned: bool, continues: str) -> None:
         self.tool = tool
@@ -47,8 +49,8 @@ class EngagementState(Enum):
 
     @property
     def held(self) -> bool:
-        """Whether the tool stays without a hand that steers."""
-        return self is EngagementState.HELD or self.kept
+        """Whether the tool is where no hand steers it."""
+        return self in (EngagementState.HELD, EngagementState.LED) or self.kept
 
 
 class EngagementTrigger(Enum):
@@ -89,6 +91,8 @@ class EngagementTrigger(Enum):
     EXPIRED = "the time is over", "no hand took it over in time", ReasonCode.EXPIRED
     HOLD = "a program holds the tool", "the tool is held", ReasonCode.HOLD
     HOLD_ENDED = "the program ends that", "it was ended", ReasonCode.HOLD
+    LEAD = "a program steers", "a program steers the tool", ReasonCode.LED
+    LEAD_LOST = "its actions end or are refused", "{detail}", ReasonCode.LEAD_LOST
 
     def __init__(self, happens: str, sentence: str, code: ReasonCode) -> None:
         self.happens = happens
@@ -125,7 +129,7 @@ _OWNED = (*_RUNNING, _S.PAUSED)
 _LOSSES = (_T.HAND_LOST, _T.MOVED, _T.UNSURE, _T.CLUTCH_LOST)
 
 TRANSITIONS = (
-    EngagementRow((_S.WAITING, _S.HELD, _S.PAUSED, _S.KEPT), _T.HAND_READY, _S.STEERING),
+    EngagementRow((_S.WAITING, _S.HELD, _S.PAUSED, _S.KEPT, _S.LED), _T.HAND_READY, _S.STEERING),
     # The hand steers on, but the tool waits.
     EngagementRow((_S.STEERING, _S.STAYING), _T.ARM_BUSY, _S.STARTING, When.RELATIVE),
     EngagementRow((_S.STARTING,), _T.ARM_READY, _S.STEERING),
@@ -135,21 +139,25 @@ TRANSITIONS = (
     # Not enabled, clutched, or not chosen.
     EngagementRow(_RUNNING, _T.STOPPED, _S.PAUSED, When.KEEPS),
     EngagementRow(_RUNNING, _T.STOPPED, _S.WAITING, When.DROPS),
+    EngagementRow((_S.LED,), _T.STOPPED, _S.KEPT),
     # The hand is gone, or nobody knows what the operator wants.
     *(EngagementRow(_RUNNING, loss, _S.KEPT, When.KEEPS) for loss in _LOSSES),
     *(EngagementRow(_RUNNING, loss, _S.WAITING, When.DROPS) for loss in _LOSSES),
     *(EngagementRow((_S.PAUSED,), loss, _S.KEPT) for loss in _LOSSES),
     # Nobody watches, or the arm is not there for a hand.
-    EngagementRow((_S.HELD, _S.KEPT, *_OWNED), _T.TRACKER_LOST, _S.WAITING),
-    EngagementRow((_S.KEPT, *_OWNED), _T.CONTROL_ON, _S.WAITING),
-    EngagementRow((_S.KEPT, *_OWNED), _T.CONTROL_FOUND_ON, _S.WAITING),
-    EngagementRow((_S.HELD, _S.KEPT, _S.PAUSED), _T.CONTROL_OFF, _S.WAITING),
+    EngagementRow((_S.HELD, _S.KEPT, _S.LED, *_OWNED), _T.TRACKER_LOST, _S.WAITING),
+    EngagementRow((_S.KEPT, _S.LED, *_OWNED), _T.CONTROL_ON, _S.WAITING),
+    EngagementRow((_S.KEPT, _S.LED, *_OWNED), _T.CONTROL_FOUND_ON, _S.WAITING),
+    EngagementRow((_S.HELD, _S.KEPT, _S.LED, _S.PAUSED), _T.CONTROL_OFF, _S.WAITING),
     EngagementRow(_RUNNING, _T.CONTROL_OFF, _S.WAITING, When.RELATIVE),
-    EngagementRow((_S.KEPT, *_OWNED), _T.ARM_LEFT, _S.WAITING, When.RELATIVE),
+    EngagementRow((_S.KEPT, _S.LED, *_OWNED), _T.ARM_LEFT, _S.WAITING, When.RELATIVE),
     # Holds.
     EngagementRow((_S.HELD, _S.KEPT, _S.PAUSED), _T.EXPIRED, _S.WAITING),
     EngagementRow((_S.WAITING,), _T.HOLD, _S.HELD),
     EngagementRow((_S.HELD,), _T.HOLD_ENDED, _S.WAITING),
+    # Programs, where the tool stays when they end.
+    EngagementRow((_S.WAITING, _S.KEPT), _T.LEAD, _S.LED, When.KEEPS),
+    EngagementRow((_S.LED,), _T.LEAD_LOST, _S.KEPT),
 )
 """All transitions. No end of an engagement is a motion: the tool stays, or is no longer published."""
 

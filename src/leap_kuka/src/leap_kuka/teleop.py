@@ -26,6 +26,9 @@ from leap_kuka.hand_average import HandAverage, MeanHand, hand_frame
 from leap_kuka.kept_tool import Leaving, Measured, ToolBehind, kept, no_measured_tool, tool_at_home
 from leap_kuka.numbers import (
     ENOUGH_RATE_HZ,
+    LEAD_NEAR_M,
+    LEAD_NEAR_RAD,
+    LEAD_SILENCE_S,
     MAX_HELD_TURN,
     MAX_SILENCE_S,
     MAX_STATUS_AGE_S,
@@ -57,6 +60,13 @@ from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, virtual_le
 from leap_motion.frames import TrackedHand, TrackingFrame
 
 CONTROL_IS_OFF = EngagementTrigger.CONTROL_OFF.reason().text
+TOO_NEAR = "it is too near to the base, behind it or below its foot"
+_HOLDS = {
+    EngagementState.HELD: HoldState.HELD,
+    EngagementState.LED: HoldState.LED,
+    EngagementState.PAUSED: HoldState.KEPT,
+    EngagementState.KEPT: HoldState.KEPT,
+}
 HAND_CAME_IN = {BOX, PITCH, ROLL, CAME_IN, REACH}  # what a hand that continues has fulfilled
 
 CanReach = Callable[[np.ndarray, bool], "str | None"]
@@ -102,6 +112,7 @@ class ArmTeleop:
         self._taken = False  # whether the stream took a held tool over
         self._held: Held | None = None
         self._hold_ended: Reason | None = None  # why, which is said once
+        self._lead_ended: Reason | None = None  # why a program no longer brings the tool that is kept
         self._measured_tool = measured_tool
         self._behind = ToolBehind()
         self._left: Leaving | None = None  # how an engagement left the tool that is kept
@@ -142,19 +153,64 @@ class ArmTeleop:
 
     def _hold_inhibited(self, T_base_tool: np.ndarray, now: float) -> str:
         """Returns why no tool is held at a valid pose now, or an empty text."""
-        too_near = bool(np.any(self._border.back(T_base_tool[:3, 3], self._scaling)))
-        silence = self._watch.silence(now) or ""
         state = self._state
         rows = (
-            (too_near, "it is too near to the base, behind it or below its foot"),
-            (state.owned, "a hand is followed"),
-            (silence, silence),
+            *self._program_inhibited(T_base_tool, now),
             (state.kept, "it is held already"),
             (state.held, "it is held already; end that hold first with a duration of 0"),
+        )
+        return _first(rows)
+
+    def _program_inhibited(self, T_base_tool: np.ndarray, now: float) -> tuple[tuple[object, str], ...]:
+        """Returns what keeps a program from bringing the tool to a valid pose: conditions, and their sentences."""
+        silence = self._watch.silence(now) or ""
+        return (
+            (self._border.back(T_base_tool[:3, 3], self._scaling).any(), TOO_NEAR),
+            (self._state.owned, "a hand is followed"),
+            (silence, silence),
             (not self._control_on, CONTROL_IS_OFF),
             (self._mode not in FOLLOWS_TOOL, EngagementTrigger.ARM_LEFT.reason(detail=self._mode).text),
         )
-        return _first(rows)
+
+    def lead(self, T_base_tool: np.ndarray, now: float) -> str:
+        """Brings the tool, while no hand steers it, to the next pose of a program, shape (4, 4) [m]; returns why not,
+        or an empty text. Where it is refused, or silent for LEAD_SILENCE_S, the tool stays; a hand that comes in takes
+        it over there."""
+        fault = hold_fault(T_base_tool, LEAD_SILENCE_S, self._mounting.up, self._R_home[2])
+        fault = fault or self._lead_inhibited(T_base_tool, now)
+        if fault:
+            self._fire(EngagementTrigger.LEAD_LOST, now, fault)
+            return fault
+        self._fire(EngagementTrigger.LEAD, now)
+        self._held = Held(read_only(T_base_tool), now + LEAD_SILENCE_S)
+        self._hold_ended = self._left = None
+        return ""
+
+    def _lead_inhibited(self, T_base_tool: np.ndarray, now: float) -> str:
+        stop = self.switches.stop
+        inhibited = _first(
+            (
+                (not self._keeps, "a program needs leap/engagement relative, and a leap/hold_time above 0"),
+                *self._program_inhibited(T_base_tool, now),
+                (self._state is EngagementState.HELD, "it is held for a hand"),
+                (stop, stop.text if stop else ""),
+            )
+        )
+        if inhibited:
+            return inhibited
+        try:
+            T_now = self._held.T_base_tool if self._held is not None else self._tool_of_arm()
+        except ValueError as error:
+            return f"where the tool is cannot be said: {error}"
+        step = inverse(T_now) @ T_base_tool
+        away, turned = float(np.linalg.norm(step[:3, 3])), rotation_angle(step[:3, :3])
+        if away <= LEAD_NEAR_M and turned <= LEAD_NEAR_RAD:
+            return ""
+        return f"its pose is {1e3 * away:.0f} mm and {math.degrees(turned):.0f} deg from the tool"
+
+    def _tool_of_arm(self) -> np.ndarray:
+        """Returns the desired tool at which the arm is at home; raises ValueError: it is unknown or elsewhere."""
+        return self._scaling.unscaled(tool_at_home(self._measured_tool, self._ws_center))
 
     def end_hold(self) -> HoldAnswer:
         """Ends a hold on request; a hand that took the tool over continues, and so does a tool that is kept."""
@@ -204,7 +260,8 @@ class ArmTeleop:
         if arrival.restarted:
             self._lock.forget()
         if self._held is not None and now >= self._held.until and not (self._state.kept and self.switches.stop):
-            self._fire(EngagementTrigger.EXPIRED, now)
+            led = self._state is EngagementState.LED
+            self._fire(EngagementTrigger.LEAD_LOST if led else EngagementTrigger.EXPIRED, now, "the program is silent")
         if not arrival.usable:
             self.counts.frames_refused += 1
             return self._result(False, now)
@@ -262,10 +319,13 @@ class ArmTeleop:
         after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
         if after is before:
             return reason
+        self._lead_ended = reason if after.kept and before is EngagementState.LED else None
         if after is EngagementState.WAITING and before.held:
             self._hold_ended = replace(reason, text=f"the tool is no longer held: {reason.text}")
         if after.kept and before.running:
             self._keep(now)
+        elif after.kept and before is EngagementState.LED and self._held is not None:
+            self._held = replace(self._held, until=now + self._hold_time)
         elif not after.held:
             self._held = self._left = None
         if before.owned and not after.owned:
@@ -284,7 +344,8 @@ class ArmTeleop:
         switches = self.switches
         number, side = owner or ((hand.id, hand.is_left) if hand is not None else (None, None))
         others = [other for other in frame.hands if side is (not other.is_left) and other.id != number]
-        switches.update(others, stamp, now, owner is not None or self._state.kept)
+        keeps = self._state.kept or self._state is EngagementState.LED
+        switches.update(others, stamp, now, owner is not None or keeps)
         if switches.lost:
             self._fire(EngagementTrigger.CLUTCH_LOST, now)
         stop = switches.stop
@@ -431,8 +492,7 @@ class ArmTeleop:
             return {}
         if self._relative:
             try:
-                T_measured = tool_at_home(self._measured_tool, self._ws_center)
-                self._start_tool = self._scaling.unscaled(T_measured)
+                self._start_tool = self._tool_of_arm()
             except ValueError as error:
                 return {READY: Reason(f"where the tool is cannot be said: {error}", (ReasonCode.ARM_NOT_READY,))}
             return {}
@@ -449,7 +509,7 @@ class ArmTeleop:
         held = self._held
         if self._state is not EngagementState.PAUSED:
             self._heading = heading(R_leap_hand[:, 0])
-        self._taken = self._state is EngagementState.HELD
+        self._taken = self._state in (EngagementState.HELD, EngagementState.LED)
         reason = self._fire(EngagementTrigger.HAND_READY, now)
         self._lock.engage()
         origin = self._absolute(self._heading)
@@ -497,6 +557,10 @@ class ArmTeleop:
             if self._held is not None:
                 T_virtual_tool = read_only(inverse(T_base_virtual) @ self._held.T_base_tool)
                 left = max(self._held.until - now, 0.0)
+            if state is EngagementState.LED:
+                reason = EngagementTrigger.LEAD.reason()
+            elif self._lead_ended is not None:
+                reason = self._lead_ended
             if state.kept:
                 reason = replace(reason, text=f"{reason.text}; the tool stays for {math.ceil(left)} s")
             return TeleopResult(
@@ -507,8 +571,8 @@ class ArmTeleop:
                 self._measured,
                 T_virtual_filtered,
                 T_virtual_tool,
-                hold=HoldState.KEPT if state.kept else HoldState.HELD if state.held else HoldState.NONE,
-                keep_grip=state.kept,
+                hold=_HOLDS.get(state, HoldState.NONE),
+                keep_grip=state.kept or state is EngagementState.LED,
                 hold_left=left,
                 unmet=self._unmet,
                 codes=(hold_ended or reason).codes,

@@ -22,6 +22,7 @@ class HoldState(Enum):
     NONE = teleop_record.NO_HOLD
     HELD = teleop_record.HELD  # for a hand
     TAKEN = teleop_record.TAKEN  # over by the hand that steers now
+    LED = teleop_record.LED  # by a program
     KEPT = "kept"  # where a relative engagement stopped, for the next one
 
 
