@@ -79,6 +79,7 @@ class HandTeleop:
         self._reported_at = -math.inf
         self._owner: tuple[int, bool] | None = None
         self._keep_grip = False
+        self._led = False
         self._gripper_on: bool | None = True if hand_only else None
         self._opened_in_silence = False
         self._state = GripperState.WAITING
@@ -87,15 +88,18 @@ class HandTeleop:
         self._command = self.open_pose  # that was sent last
         self._kept = np.zeros(len(self._robot), dtype=bool)  # fingers that keep it until the operator's come near
 
-    def steered_by(self, owner: tuple[int, bool] | None, now: float, keep_grip: bool = False) -> None:
+    def steered_by(
+        self, owner: tuple[int, bool] | None, now: float, keep_grip: bool = False, led: bool = False
+    ) -> None:
         """Sets id and side (whether left) of the hand that steers the arm `now` [s], None while no hand does; with
-        `keep_grip` the grip is kept without it."""
+        `keep_grip` the grip is kept without it; `led`: a program steers."""
         if self._hand_only:
             return
         self._arm_reports = True
         self._owner = owner
         self._reported_at = now
         self._keep_grip = keep_grip
+        self._led = led
         if owner is not None or keep_grip:
             self._lock.end()
 
@@ -112,6 +116,17 @@ class HandTeleop:
         changed = gripper_on != self._gripper_on
         self._gripper_on = gripper_on
         return self._open(GRIPPER_OFF) if changed and not gripper_on else None
+
+    def lead(self, command: np.ndarray, now: float) -> GripperResult | None:
+        """Moves the fingers to a program's command, shape (4,) [rad], as far as this hand's mapping goes, while a
+        program steers the arm and control of the gripper is on; else returns None."""
+        if not (self._led and self._gripper_on and now - self._reported_at <= OLD_ROWS_S):
+            return None
+        self._state = GripperState.KEEPING
+        self._followed, self._followed_at = None, now
+        self._command = read_only(np.clip(command, self._robot.min(axis=1), self._robot.max(axis=1)))
+        self._kept[:] = True
+        return GripperResult(GripperState.KEEPING, "a program moves the fingers", self._command)
 
     def step(self, frame: TrackingFrame, now: float) -> GripperResult | None:
         """Processes a frame that arrived at `now` on a monotonic clock [s]. Returns None for a repeated frame and

@@ -186,6 +186,10 @@ class ArmTeleop:
         self._hold_ended = self._left = None
         return ""
 
+    def end_lead(self, now: float) -> None:
+        """Ends the steering of a program; the tool stays."""
+        self._fire(EngagementTrigger.LEAD_LOST, now, "the program was stopped")
+
     def _lead_inhibited(self, T_base_tool: np.ndarray, now: float) -> str:
         stop = self.switches.stop
         inhibited = _first(

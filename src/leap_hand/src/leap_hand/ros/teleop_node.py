@@ -15,15 +15,17 @@ from std_srvs.srv import Empty
 from common import clock
 from common.config import parse
 from common.errors import DeviceError, RigError
+from common.frames import BASE
 from common.robot_hand import HAND
 from common.ros.calibration_use import check_use
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
-from common.ros.params import private_config, wait_for_config
+from common.ros.params import arm_frames, private_config, wait_for_config
+from common.ros.policy_input import PolicyInput
 from common.ros.publishing import DirectPublisher
 from common.ros.service_calls import call
 from common.simulated import said_by
-from common.teleop_record import teleop_record
+from common.teleop_record import LED, teleop_record
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.numbers import ANSWER_TIMEOUT_S, FIRST_STATE_S, SETTLING_S
@@ -33,7 +35,7 @@ from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import ReceivedHuman, Subscribe, subscribe
 from reflex.transport import LOOPBACK
 from reflex_msgs.msg import Hand, RadianServoCommands
-from rig_msgs.msg import TeleopState
+from rig_msgs.msg import PolicyActions, TeleopState
 from rig_msgs.srv import ChooseOperator, ChooseOperatorRequest
 
 OPERATOR_PARAM = "leap_hand_node/operator"
@@ -59,6 +61,7 @@ class HandTeleopNode:
         self._state_received = clock.Event()
         rospy.Service(f"{of}leap_hand/choose_operator", ChooseOperator, self._on_operator)
         rospy.Subscriber(of + HAND.state, Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
+        self._policy = PolicyInput(PolicyActions, arm_frames(of)(BASE), len(HAND.motors), of)
 
     def run(self, subscribe: Subscribe) -> None:
         """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""
@@ -98,7 +101,7 @@ class HandTeleopNode:
     def _on_arm_teleop(self, message: TeleopState) -> None:
         state = teleop_record(message)
         with self._lock:
-            self._teleop.steered_by(state.owner, clock.monotonic(), state.keep_grip)
+            self._teleop.steered_by(state.owner, clock.monotonic(), state.keep_grip, state.hold == LED)
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
@@ -106,6 +109,9 @@ class HandTeleopNode:
             self._carry_out(result)
             if result is not None and result.command is not None:
                 self._stage_times.done(stamp)
+            action = self._policy.at(rospy.Time.now())
+            if result is not None and action is not None and action.fingers.size:
+                self._carry_out(self._teleop.lead(action.fingers, clock.monotonic()))
 
     def _on_hand_state(self, hand: Hand) -> None:
         with while_running(), self._lock:

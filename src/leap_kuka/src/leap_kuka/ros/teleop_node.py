@@ -1,5 +1,6 @@
 """The node leap_kuka_node: Human messages in, the frames of hand, desired tool and desired flange out on tf. The
-service leap_kuka/hold_tool holds the tool for a hand."""
+service leap_kuka/hold_tool holds the tool for a hand; after leap_kuka/run_policy a program brings it where its actions
+say, while no hand steers."""
 
 from __future__ import annotations
 
@@ -9,16 +10,19 @@ import numpy as np
 import rospy
 from geometry_msgs.msg import Transform, TransformStamped
 from std_msgs.msg import Header, String
+from std_srvs.srv import SetBool, SetBoolRequest
 from tf2_msgs.msg import TFMessage
 
 from common import clock
 from common.config import required
 from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
 from common.poses import read_only
+from common.robot_hand import HAND as ROBOT_HAND
 from common.ros.conversions import pose_in, transform_message
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import arm_frames, wait_for_config, wait_for_param
+from common.ros.policy_input import PolicyInput
 from common.ros.publishing import DirectPublisher
 from common.ros.raw_tf import publisher_of
 from leap_kuka.arm_choice import BOTH, elsewhere
@@ -35,7 +39,7 @@ from leap_kuka.teleop_result import TeleopResult
 from leap_kuka.tool_hold import HoldAnswer
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import ReceivedPalms, Subscribe, subscribe
-from rig_msgs.msg import KukaStatus, OperatorInput
+from rig_msgs.msg import KukaStatus, OperatorInput, PolicyActions
 from rig_msgs.srv import HoldTool, HoldToolRequest
 
 
@@ -72,6 +76,10 @@ class ArmTeleopNode:
         operator_input = f"{of}leap_kuka/operator_input"
         rospy.Subscriber(operator_input, OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
         rospy.Service(f"{of}leap_kuka/hold_tool", HoldTool, self._on_hold_request)
+        self._policy = PolicyInput(PolicyActions, self._base, len(ROBOT_HAND.motors), of)
+        self._policy_runs = False
+        self._policy_fault = ""
+        rospy.Service(f"{of}leap_kuka/run_policy", SetBool, self._on_run_policy)
         if teleop.switches.elsewhere:  # the topic is that of all arms
             self._arm = frames.tf_prefix
             rospy.Subscriber(CHOSEN_ARM, String, self._on_choice, queue_size=10, tcp_nodelay=True)
@@ -90,6 +98,7 @@ class ArmTeleopNode:
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
+            self._lead()
             result = self._teleop.step(frame, clock.monotonic())
             if result.usable:
                 self._tf.publish(self._transforms(result, stamp))
@@ -122,6 +131,27 @@ class ArmTeleopNode:
     def _on_choice(self, message: String) -> None:
         with self._lock:
             self._teleop.choose(elsewhere(message.data, self._arm), message.data != BOTH)
+
+    def _on_run_policy(self, request: SetBoolRequest) -> tuple[bool, str]:
+        with self._lock:
+            if request.data and not self._policy_runs:
+                self._policy.clear()  # nobody waited for what came before
+            self._policy_runs, self._policy_fault = request.data, ""
+            if not request.data:
+                self._teleop.end_lead(clock.monotonic())
+        sentence = f"The policy's actions {'count' if request.data else 'no longer count'}."
+        rospy.loginfo(sentence)
+        return True, sentence
+
+    def _lead(self) -> None:
+        """Lets a running policy bring the tool on; what keeps it from that is logged once."""
+        action = self._policy.at(rospy.Time.now()) if self._policy_runs else None
+        if action is None:
+            return
+        fault = self._teleop.lead(action.T_base_tool, clock.monotonic())
+        if fault and fault != self._policy_fault:
+            rospy.logwarn("The policy does not steer the tool: %s.", fault)
+        self._policy_fault = fault
 
     def _on_hold_request(self, request: HoldToolRequest) -> tuple[bool, str]:
         answer = self._hold(request)
