@@ -62,6 +62,7 @@ from {FULL_SPEED_HZ:g} on; what comes less often than {HOLD_HZ:g} times a second
 | `leap_kuka/stream` | OK while the tool follows a hand, with the reason |
 | `leap_hand/choose_operator` | fingers as a measured hand's, while the gripper is off |
 | `leap_kuka/hold_tool` | holds the desired tool until a hand comes, 120 s at most; it must point down within 50 deg |
+| `leap_kuka/run_policy` | lets `leap_kuka/policy_actions` bring the tool while no hand steers; relative engagement |
 | `leap_kuka/interaction_box` | green while the tool follows a hand and the arm can come, else amber with the reason |
 | `reflex_takktile/radian_hand_command` | index, middle, thumb (0 to 3.6), spread (0 to 1.75) [rad] |
 | `reflex_takktile/set_speed` | joint rad/s; switches torque on |

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import parse
+from common.operator_rows import OLD_ROWS_S
 from common.rotations import rotation_from_zyx
 from leap_hand.config import HandConfig
 from leap_hand.flexion import angle_between, flexion, map_angles
@@ -270,3 +271,45 @@ def test_a_grip_that_was_kept_for_a_moment_ends_the_following_of_a_hand_without_
     play.teleop.steered_by(None, play.now, keep_grip=True)
     play.teleop.steered_by(None, play.now)
     assert play.step(hand_with(20.0, 20.0, 20.0)).state == GripperState.KEEPING
+
+
+def led(**changes) -> Player:
+    """A robot hand whose arm a program steers."""
+    player = Player(hand_only=False, **changes)
+    player.teleop.switch(True)
+    player.step()
+    player.teleop.steered_by(None, player.now, keep_grip=True, led=True)
+    return player
+
+
+@pytest.mark.parametrize("frames", [0, 30])
+def test_a_program_moves_the_fingers_and_a_hand_takes_them_over_where_they_are(frames):
+    player = led(fingers_follow="steering")
+    command = np.radians([60.0, 70.0, 50.0, 20.0])
+    found = player.teleop.lead(command, player.now)
+    np.testing.assert_allclose(found.command, command)
+    assert all(result.command is None for result in player.steps(frames)), "they stay"
+    hand = hand_with(84.0, 84.0, 84.0)
+    for _ in range(5):
+        player.teleop.steered_by((hand.id, hand.is_left), player.now)
+        result = player.step(hand)
+    np.testing.assert_allclose(result.command[:3], command[:3], err_msg="until the operator's come near")
+    assert player.teleop.lead(0.0 * command, player.now) is None, "a hand steers"
+
+
+def test_a_programs_command_stays_within_the_mapping():
+    player = led()
+    low, high = np.sort(CONFIG.robot, axis=1).T
+    np.testing.assert_allclose(player.teleop.lead(np.full(4, 9.0), player.now).command, high)
+    np.testing.assert_allclose(player.teleop.lead(np.full(4, -9.0), player.now).command, low)
+
+
+def test_no_program_moves_the_fingers_of_a_gripper_that_is_off_or_of_an_arm_that_says_nothing():
+    player = led()
+    player.teleop.switch(False)
+    assert player.teleop.lead(np.zeros(4), player.now) is None
+    player = led()
+    assert player.teleop.lead(np.zeros(4), player.now + OLD_ROWS_S + 0.01) is None
+    assert player.teleop.lead(np.zeros(4), player.now) is not None
+    player.teleop.steered_by(None, player.now, keep_grip=True)
+    assert player.teleop.lead(np.zeros(4), player.now) is None

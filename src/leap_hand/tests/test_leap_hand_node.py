@@ -13,14 +13,14 @@ from common import clock
 pytest.importorskip("rig_msgs.srv")
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Bool
 from std_srvs.srv import Empty, EmptyResponse
 
 from leap_motion.msg import Human
 from reflex_msgs.msg import RadianServoCommands
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, PolicyActions, TeleopState
 from rig_msgs.srv import ChooseOperator
 from tools import launched
 
@@ -439,3 +439,25 @@ def test_a_node_that_is_interrupted_while_the_hand_calibrates_ends_at_once(ros, 
     ros.wait_until(lambda: len(driver.calls) == 2, 20.0, "the calibrations")
     process.send_signal(signal.SIGINT)
     assert process.wait(1.0) == 0
+
+
+def test_a_policy_moves_the_fingers_while_it_steers_the_arm(ros, driver, tracker):
+    rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True).publish(True)
+    state = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=1)
+    actions = rospy.Publisher("leap_kuka/policy_actions", PolicyActions, queue_size=1)
+    ros.launch("leap_hand", "leap_hand.launch")
+    ros.wait_until(lambda: driver.calls, 5.0, "the node")
+    clock.sleep(SETTLING_S + 0.5)
+    command = [0.5, 0.6, 0.7, 0.2]
+
+    def act(hold):
+        for _ in range(5):
+            state.publish(TeleopState(state="holding", hold=hold, keep_grip=True))
+            message = PolicyActions(period=0.2, tool=[Pose(orientation=Quaternion(w=1.0))], fingers=command)
+            message.header.stamp, message.header.frame_id = rospy.Time.now(), "kuka/base_frame"
+            actions.publish(message)
+            clock.sleep(0.1)
+        return [sent for sent in driver.commands if np.allclose(sent.radian_commands, command, atol=1e-5)]
+
+    assert not act("kept")
+    assert act("led") and is_near(driver, command)

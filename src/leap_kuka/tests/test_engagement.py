@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from common.config import parse
-from common.hand_tracking import REMEMBERED_S, succeeds
+from common.hand_tracking import MAX_STEP_M, REMEMBERED_S, succeeds
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from golden.chain import parsed
 from leap_kuka.config import ArmPlacement
 from leap_kuka.engagement import TRANSITIONS, EngagementState, EngagementTrigger, Tool, When, next_state
-from leap_kuka.numbers import DEVICE_SILENCE_S, LEAD_NEAR_M, MAX_SILENCE_S
+from leap_kuka.numbers import DEVICE_SILENCE_S, MAX_SILENCE_S
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
@@ -75,7 +75,8 @@ class Engagement(RuleBasedStateMachine):
         self.hands, self.now, self.number = {}, 50.0, 0
         self.outside, self.may = {}, set()  # frames in a row outside of the box; hands that came in while control is on
         self.seen = {}  # hands as they were seen last, and when [s]
-        self.last = self.sent = self.led = None
+        self.last = self.sent = None
+        self.led = False  # whether a pose of a program was taken since the frame before
         self.told = known
         self.frames(1)
         if engaged:
@@ -188,7 +189,7 @@ class Engagement(RuleBasedStateMachine):
     def lead(self, step):
         T = np.array(self.tool if self.sent is None else self.sent)
         T[2, 3] += step
-        self.led = T if not self.teleop.lead(T, self.now) else None
+        self.led = not self.teleop.lead(T, self.now)
 
     @rule(mode=st.sampled_from(["stopped", "moving", "holding", "pick_up", "servo", "home"]))
     def arm(self, mode):
@@ -253,8 +254,8 @@ class Engagement(RuleBasedStateMachine):
             return
         tool, running = result.T_base_virtual @ result.T_virtual_tool, result.state is StreamState.RUNNING
         moved = self.sent is None or not np.allclose(tool, self.sent, atol=1e-9)
-        led, self.led = self.led, None
-        if led is not None and result.hold is HoldState.LED and np.allclose(tool, led, atol=1e-9):
+        led, self.led = self.led, False
+        if led and result.hold is HoldState.LED:
             self.judge_program(result)
             return
         if self.sent is None and result.hold is HoldState.NONE:
@@ -270,7 +271,7 @@ class Engagement(RuleBasedStateMachine):
 
     def judge_program(self, result):
         assert self.kind in ("kept", "switched") and result.owner is None and not result.follows
-        assert self.sent is None or np.linalg.norm(self.led_step(result)) <= LEAD_NEAR_M + 1e-9
+        assert self.sent is None or np.linalg.norm(self.led_step(result)) <= MAX_STEP_M + 1e-9
         if self.switched:
             silence = self.now - self.reported_at
             assert self.chosen and self.reported == (True, False) and silence <= DEVICE_SILENCE_S, result.reason
@@ -302,13 +303,20 @@ def test_the_machine_is_led_where_the_tool_can_stay(kind):
     machine.begin(kind, True)
     machine.switch(True)
     machine.press()
-    machine.program("near", 5, False)
+    wanted, heights = pose(HOME[:3, :3], HOME[:3, 3] + (0.0, 0.0, 0.04)), []
+    for _ in range(110):
+        machine.led = not machine.teleop.lead(wanted, machine.now)
+        machine.frames(1)
+        if machine.sent is not None:
+            heights.append(machine.sent[2, 3])
     assert (machine.last.hold is HoldState.LED) == (kind in ("kept", "switched"))
     if kind in ("kept", "switched"):
-        assert machine.sent[2, 3] == pytest.approx(HOME[2, 3] + 0.05)
+        np.testing.assert_allclose(machine.sent, wanted, atol=1e-9)
+        assert heights[0] == pytest.approx(HOME[2, 3], abs=1e-4)
+        assert np.diff(heights).min() >= 0.0 and np.diff(heights).max() < 0.0008, "it goes there slowly"
         machine.frames(25)
         assert machine.last.hold is HoldState.KEPT and "the program is silent" in machine.last.reason
-        machine.program("near", 1, False)
+        machine.program("here", 1, False)
         machine.come_in(2)
         machine.drift()
         assert machine.last.follows and machine.teleop.lead(machine.sent, machine.now) == "a hand is followed"
@@ -333,7 +341,7 @@ def test_a_program_that_may_not_is_refused_and_the_tool_stays(why):
     machine.begin("switched", True)
     machine.switch(True)
     machine.press()
-    machine.program("near", 3, False)
+    machine.program("here", 3, False)
     assert machine.last.hold is HoldState.LED
     where, T = np.array(machine.sent), np.array(machine.sent)
     machine.clutched, machine.pressed, machine.chosen = why == "clutch", why != "release", why != "other arm"

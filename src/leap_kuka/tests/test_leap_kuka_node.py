@@ -24,11 +24,11 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from common.poses import inverse, pose
-from common.ros.conversions import pose_from_transform, stamped_pose, stamped_transform
+from common.ros.conversions import message_from_pose, pose_from_transform, stamped_pose, stamped_transform
 from common.ros.node import repeat
 from leap_kuka.ros import operator_input_node
 from leap_motion.msg import Hand, Human
-from rig_msgs.msg import KukaStatus, OperatorInput, TeleopState
+from rig_msgs.msg import KukaStatus, OperatorInput, PolicyActions, TeleopState
 from rig_msgs.srv import HoldTool
 
 pytestmark = pytest.mark.ros
@@ -444,3 +444,128 @@ def test_the_tool_starts_where_it_is_and_the_pedal_and_the_service_clutch(ros, n
     assert not states[-1].enabled
     control["control_on"] = False
     becomes("waiting", 0.05 + PERIOD_S + 2.0 * DELAY_S)
+
+
+class Policy:
+    """A program that lets the tool rise slowly: chunks of 1 s, five times a second."""
+
+    def __init__(self, T_start):
+        self._publisher = rospy.Publisher("leap_kuka/policy_actions", PolicyActions, queue_size=1)
+        self.T = T_start
+        self.speed = 0.02  # m/s
+        self.fingers = []
+        self.runs = True
+        repeat(self._publish, 0.2, "policy")
+
+    def _publish(self):
+        if not self.runs:
+            return
+        steps = [self.T @ pose(p=(0.0, 0.0, -0.1 * self.speed * i)) for i in range(10)]
+        message = PolicyActions(period=0.1, tool=[message_from_pose(T) for T in steps], fingers=self.fingers * 10)
+        message.header.stamp, message.header.frame_id = rospy.Time.now(), "kuka/base_frame"
+        self._publisher.publish(message)
+        self.T = steps[2]
+
+
+def test_a_policy_steers_until_a_hand_comes_in_and_goes_on_when_it_has_left(ros, node, tracker, hand):
+    set_params({"engagement": "relative", "hold_time": 30.0})
+    states = ros.record("leap_kuka/state", TeleopState)
+    T_home = pose(np.diag([-1.0, 1.0, -1.0]), (0.5, 0.0, 0.4))
+    flange = T_home @ inverse(pose(p=(0.0, 0.0, 0.106)))
+    broadcast = rospy.Publisher("/tf", TFMessage, queue_size=10)
+    status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
+    control = {"control_on": True, "mode": "home", "scaling_factor": 1.0}
+
+    def arm():
+        now = rospy.Time.now()
+        broadcast.publish([stamped_transform(flange, "kuka/base_frame", "kuka/flange_frame/measured", now)])
+        status.publish(KukaStatus(**control))
+
+    def tool():
+        T_base_virtual, T_virtual_tool = node.desired()
+        return T_base_virtual @ T_virtual_tool
+
+    repeat(arm, 0.05, "arm")
+    node.run()
+    policy = Policy(T_home)
+    run = rospy.ServiceProxy("leap_kuka/run_policy", SetBool)
+    clock.sleep(1.0)
+    assert states[-1].hold == "none" and node.desired() is None, "nobody has said that it may"
+    policy.T = T_home
+    assert run(True).success
+    clock.sleep(2.0)
+    control["mode"] = "servo"
+    assert (states[-1].state, states[-1].hold, states[-1].reason_codes) == ("holding", "led", ["led"])
+    rise = tool()[2, 3] - 0.4
+    assert 0.02 < rise <= 0.05
+    for z in (0.3, 0.0):
+        tracker.show(hand(position=(0.05, 0.35, z)))
+        clock.sleep(1.0)
+    assert states[-1].state == "running" and states[-1].hold == "taken"
+    taken = tool()
+    wanted = policy.T = taken @ pose(p=(0.0, 0.0, -0.01))
+    policy.speed = 0.0
+    clock.sleep(1.0)
+    np.testing.assert_allclose(tool(), taken, atol=1e-6, err_msg="it asks on, and is not heard")
+    tracker.show()
+    clock.sleep(2.0)
+    assert states[-1].hold == "led"
+    np.testing.assert_allclose(tool(), wanted, atol=1e-6)
+    heights = [
+        (found["leap_motion/virtual_frame"] @ found["kuka/tool_frame/desired"])[2, 3]
+        for message in node.tf
+        if "kuka/tool_frame/desired"
+        in (found := {t.child_frame_id: pose_from_transform(t.transform) for t in message.transforms})
+    ]
+    assert np.abs(np.diff(heights)).max() <= 2.0 * PERIOD_S * 0.02, "no jump at any change"
+    policy.runs = False
+    clock.sleep(1.0 + 0.3)
+    assert states[-1].hold == "kept" and "the program is silent" in states[-1].reason
+    policy.T, policy.runs = tool(), True
+    clock.sleep(0.5)
+    assert states[-1].hold == "led"
+    assert run(False).success
+    clock.sleep(0.1)
+    stays = tool()
+    assert states[-1].hold == "kept" and "the program was stopped" in states[-1].reason
+    clock.sleep(1.0)
+    np.testing.assert_allclose(tool(), stays, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"period": 0.0}, "its period is 0 s"),
+        ({"fingers": [0.0] * 7}, "they have 7 finger commands"),
+        ({"frame": "camera_link"}, "their frame is 'camera_link'"),
+        ({"z": float("nan")}, "is not finite"),
+        ({"z": 0.9}, "its pose is 500 mm"),
+        ({"age": 30.0}, "after its end"),
+    ],
+)
+def test_bad_actions_of_a_policy_are_named_and_move_nothing(ros, node, tracker, changes, sentence):
+    set_params({"engagement": "relative", "hold_time": 30.0})
+    status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
+    broadcast = rospy.Publisher("/tf", TFMessage, queue_size=10)
+    flange = pose(np.diag([-1.0, 1.0, -1.0]), (0.5, 0.0, 0.506))
+
+    def arm():
+        now = rospy.Time.now()
+        broadcast.publish([stamped_transform(flange, "kuka/base_frame", "kuka/flange_frame/measured", now)])
+        status.publish(KukaStatus(control_on=True, mode="home", scaling_factor=1.0))
+
+    repeat(arm, 0.05, "arm")
+    process = node.run()
+    publisher = rospy.Publisher("leap_kuka/policy_actions", PolicyActions, queue_size=1)
+    assert rospy.ServiceProxy("leap_kuka/run_policy", SetBool)(True).success
+    clock.sleep(1.0)
+    tool = message_from_pose(pose(np.diag([-1.0, 1.0, -1.0]), (0.5, 0.0, 0.4)))
+    tool.position.z = changes.get("z", 0.4)
+    message = PolicyActions(period=changes.get("period", 0.1), tool=[tool], fingers=changes.get("fingers", []))
+    message.header.frame_id = changes.get("frame", "kuka/base_frame")
+    for _ in range(3):
+        message.header.stamp = rospy.Time.now() - rospy.Duration(changes.get("age", 0.0))
+        publisher.publish(message)
+        clock.sleep(0.05)
+    assert node.desired() is None and process.poll() is None
+    assert process.log_path.read_text().count(sentence) == 1

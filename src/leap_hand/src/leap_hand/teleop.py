@@ -125,7 +125,6 @@ class HandTeleop:
         self._state = GripperState.KEEPING
         self._followed, self._followed_at = None, now
         self._command = read_only(np.clip(command, self._robot.min(axis=1), self._robot.max(axis=1)))
-        self._kept[:] = True
         return GripperResult(GripperState.KEEPING, "a program moves the fingers", self._command)
 
     def step(self, frame: TrackingFrame, now: float) -> GripperResult | None:

@@ -25,7 +25,7 @@ TURN_S: Final = 0.5  # how long a hand whose mean is full may start, before anot
 MIN_RATE_HZ: Final = LEAST_RATE_HZ  # below this frame rate the tool stays
 ENOUGH_RATE_HZ: Final = 24.0  # a tool that stayed moves again from here on: the controller then follows (at 22), too
 MAX_HELD_TURN: Final = math.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves when the rate is back
-FADE_S: Final = 1.0  # in which the tilt of a hand that takes a held tool over takes full effect
+FADE_S: Final = 1.0  # in which the tilt of a hand that takes a held tool over takes full effect, or a program's pose
 STATE_PERIOD_S: Final = 0.2  # longest time between two messages on leap_kuka/state
 HEARTBEAT_S: Final = 0.5  # longest time without a report: leap_hand follows nobody when leap_kuka falls silent
 
@@ -54,7 +54,7 @@ AT_HOME_M: Final = 0.03
 MAX_HOLD_S: Final = 120.0
 MAX_TOOL_DISTANCE_M: Final = FAR_TOOL_M  # from the base
 LEAD_SILENCE_S: Final = HAND_LOST_S  # a program that steers is silent
-LEAD_NEAR_M: Final = 0.05  # a program's first pose, and each next one, is so near to where the tool is,
+LEAD_NEAR_M: Final = 0.05  # a program's first pose is so near to where the tool is,
 LEAD_NEAR_RAD: Final = math.radians(20.0)  # and turned by no more
 MAX_TILT_DEG: Final = 50.0  # of a held tool against home, where it points down; 45 for a tilted grasp, and an error
 AHEAD_M: Final = 0.1  # least distance in front of the base, nearer than the workspace; at most half of its centre's

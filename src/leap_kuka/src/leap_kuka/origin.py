@@ -19,6 +19,20 @@ I3 = read_only(np.eye(3))
 
 
 @dataclass(frozen=True)
+class FadingStep:
+    """What is between a tool and where it shall be: it fades out in FADE_S."""
+
+    p: np.ndarray  # shape (3,) [m]
+    R: np.ndarray  # in the axes of the wanted tool, shape (3, 3)
+    start: float  # [s]
+
+    def added(self, T: np.ndarray, now: float) -> np.ndarray:
+        """Returns a wanted pose, shape (4, 4) [m], with what is left of the step."""
+        left = _left(now - self.start)
+        return pose(T[:3, :3] @ scaled_rotation(self.R, left), T[:3, 3] + left * self.p)
+
+
+@dataclass(frozen=True)
 class StreamOrigin:
     """What a stream starts from; rotations have shape (3, 3)."""
 
@@ -38,8 +52,7 @@ class StreamOrigin:
         """Returns R_virtual_tool for the hand's angles from the origin, at `now` [s]."""
         R_virtual_tool = self.R_leap_zero @ rotation_from_zyx(*angles.angles) @ self.R_zero_tool
         if self.R_rest is not None:
-            s = min(max((now - self.start) / FADE_S, 0.0), 1.0)
-            R_virtual_tool = R_virtual_tool @ scaled_rotation(self.R_rest, 1.0 - s * s * (3.0 - 2.0 * s))
+            R_virtual_tool = R_virtual_tool @ scaled_rotation(self.R_rest, _left(now - self.start))
         return R_virtual_tool @ self.R_tilt @ self.R_home
 
 
@@ -80,3 +93,9 @@ def relative(T_base_tool: np.ndarray, R_base_virtual: np.ndarray, T_leap_hand: n
     T_base_virtual = pose(R_base_virtual, T_base_tool[:3, 3] - R_base_virtual @ T_leap_hand[:3, 3])
     R_virtual_tool = R_base_virtual.T @ T_base_tool[:3, :3]
     return StreamOrigin(read_only(T_base_virtual), R_leap_hand, read_only(R_leap_hand.T @ R_virtual_tool), I3)
+
+
+def _left(elapsed: float) -> float:
+    """Returns what is left, 1 to 0, of something that fades out, so long after its start [s]."""
+    s = min(max(elapsed / FADE_S, 0.0), 1.0)
+    return 1.0 - s * s * (3.0 - 2.0 * s)

@@ -39,7 +39,7 @@ from leap_kuka.numbers import (
     TURN_S,
 )
 from leap_kuka.operator_switches import OperatorSwitches
-from leap_kuka.origin import StreamOrigin, absolute, relative, taken_over
+from leap_kuka.origin import FadingStep, StreamOrigin, absolute, relative, taken_over
 from leap_kuka.scaling import NO_OFFSET, Scaling
 from leap_kuka.start_gate import (
     BOX,
@@ -112,6 +112,7 @@ class ArmTeleop:
         self._taken = False  # whether the stream took a held tool over
         self._held: Held | None = None
         self._hold_ended: Reason | None = None  # why, which is said once
+        self._lead_fade = FadingStep(np.zeros(3), np.eye(3), 0.0)
         self._lead_ended: Reason | None = None  # why a program no longer brings the tool that is kept
         self._measured_tool = measured_tool
         self._behind = ToolBehind()
@@ -174,10 +175,15 @@ class ArmTeleop:
 
     def lead(self, T_base_tool: np.ndarray, now: float) -> str:
         """Brings the tool, while no hand steers it, to the next pose of a program, shape (4, 4) [m]; returns why not,
-        or an empty text. Where it is refused, or silent for LEAD_SILENCE_S, the tool stays; a hand that comes in takes
-        it over there."""
+        or an empty text. What is between the tool and the first pose fades out. Where a pose is refused, or the program
+        silent for LEAD_SILENCE_S, the tool stays; a hand that comes in takes it over there."""
         fault = hold_fault(T_base_tool, LEAD_SILENCE_S, self._mounting.up, self._R_home[2])
         fault = fault or self._lead_inhibited(T_base_tool, now)
+        if not fault:
+            try:
+                T_base_tool = self._led_tool(T_base_tool, now)
+            except ValueError as error:
+                fault = str(error)
         if fault:
             self._fire(EngagementTrigger.LEAD_LOST, now, fault)
             return fault
@@ -192,7 +198,7 @@ class ArmTeleop:
 
     def _lead_inhibited(self, T_base_tool: np.ndarray, now: float) -> str:
         stop = self.switches.stop
-        inhibited = _first(
+        return _first(
             (
                 (not self._keeps, "a program needs leap/engagement relative, and a leap/hold_time above 0"),
                 *self._program_inhibited(T_base_tool, now),
@@ -200,17 +206,20 @@ class ArmTeleop:
                 (stop, stop.text if stop else ""),
             )
         )
-        if inhibited:
-            return inhibited
-        try:
-            T_now = self._held.T_base_tool if self._held is not None else self._tool_of_arm()
-        except ValueError as error:
-            return f"where the tool is cannot be said: {error}"
-        step = inverse(T_now) @ T_base_tool
-        away, turned = float(np.linalg.norm(step[:3, 3])), rotation_angle(step[:3, :3])
-        if away <= LEAD_NEAR_M and turned <= LEAD_NEAR_RAD:
-            return ""
-        return f"its pose is {1e3 * away:.0f} mm and {math.degrees(turned):.0f} deg from the tool"
+
+    def _led_tool(self, T_base_tool: np.ndarray, now: float) -> np.ndarray:
+        """Returns where a pose of a program brings the tool, shape (4, 4) [m]; raises ValueError if that is too far."""
+        T_now = self._held.T_base_tool if self._held is not None else self._tool_of_arm()
+        begins = self._state is not EngagementState.LED
+        if begins:
+            step = inverse(T_base_tool) @ T_now
+            self._lead_fade = FadingStep(T_now[:3, 3] - T_base_tool[:3, 3], step[:3, :3], now)
+        T = self._lead_fade.added(T_base_tool, now)
+        far = inverse(T_now) @ (T_base_tool if begins else T)
+        away, turned = float(np.linalg.norm(far[:3, 3])), rotation_angle(far[:3, :3])
+        if (away > LEAD_NEAR_M or turned > LEAD_NEAR_RAD) if begins else _is_far(far):
+            raise ValueError(f"its pose is {1e3 * away:.0f} mm and {math.degrees(turned):.0f} deg from the tool")
+        return T
 
     def _tool_of_arm(self) -> np.ndarray:
         """Returns the desired tool at which the arm is at home; raises ValueError: it is unknown or elsewhere."""
