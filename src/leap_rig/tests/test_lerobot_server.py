@@ -13,12 +13,11 @@ import tf2_ros
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
-from tf2_msgs.msg import TFMessage
 
 from kuka_msgs.msg import jointPositions, jointTorquesExternal
-from leap_rig.lerobot.ros import server_program
 from leap_rig.lerobot.ros.server_program import RigDesk, _parser
 from reflex_msgs.msg import Finger, Hand, Motor, RadianServoCommands
+from rig_msgs.msg import PolicyActions, TeleopState
 
 pytestmark = pytest.mark.ros
 DESIRED, MEASURED = "kuka/tool_frame/desired", "kuka/tool_frame/measured"
@@ -119,34 +118,37 @@ def test_the_intent_is_what_the_hand_commands_else_where_the_rig_is(published):
     assert (found["tool.x"], found["spread.pos"]) == (0.6, 0.75)
 
 
-def test_actions_become_the_desired_tool_until_a_hand_steers(published, virtual_graph):
-    rig, sent, hand = desk(), [], virtual_graph.record("reflex_takktile/radian_hand_command", RadianServoCommands)
-    rospy.Subscriber("/tf", TFMessage, lambda message: sent.extend(message.transforms))
-    published.publish()
-    rig.publish()
-    assert rig.answer({"do": "act", "action": action(0.52)})[0] == {"refused": ""}
-    for _ in range(10):
-        clock.sleep(0.03)
-        rig.publish()
-    clock.sleep(LATE_S)
-    mine = [one.transform.translation.x for one in sent if one.child_frame_id == DESIRED]
-    assert len(mine) == 10 and mine[0] == pytest.approx(0.5075) and mine[-1] == pytest.approx(0.52)
-    assert np.diff(mine).min() >= 0.0 and len(hand) == 10
-    clock.sleep(0.6)
-    rig.publish()
-    assert len(hand) == 10, "nothing is published without actions"
+def test_actions_go_to_who_leads_the_tool_which_says_why_it_does_not(published, virtual_graph):
+    rig, sent = desk(), virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
+    states = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=1)
+
+    def acted(**state):
+        if state:
+            states.publish(TeleopState(**state))
+        clock.sleep(0.1)
+        return rig.answer({"do": "act", "action": action(0.52)})[0]["refused"]
+
+    assert [acted() for _ in range(4)] == [""] * 4, "leap_kuka needs a moment"
+    for _ in range(2):
+        said = acted()
+    assert said == "The action moves nothing: leap_kuka says nothing."
+    assert acted(hold="led", reason="a program steers the tool") == ""
+    assert acted(hold="none", reason="right hand 8 is followed") == (
+        "The action moves nothing: right hand 8 is followed."
+    )
+    clock.sleep(1.0)
+    assert acted() == "", "a new beginning"
+    message = sent[-1]
+    assert (message.header.frame_id, message.period) == ("kuka/base_frame", 0.3) and len(message.tool) == 1
+    assert (message.tool[0].position.x, message.tool[0].orientation.w, message.fingers[0]) == (0.52, 1.0, 0.5)
 
 
-def test_where_another_node_steers_or_nothing_may_move_actions_are_refused(published, monkeypatch):
-    rig = desk()
-    published.publish()
-    assert "more than 150 mm" in rig.answer({"do": "act", "action": action(0.7)})[0]["refused"]
-    monkeypatch.setattr(server_program, "publisher_of", lambda _: "/leap_kuka")
-    published.place(DESIRED, 0.5)
-    clock.sleep(LATE_S)
-    published.publish(MEASURED)
-    assert "Another node steers" in rig.answer({"do": "act", "action": action()})[0]["refused"]
+def test_what_is_no_action_is_refused_and_not_sent(published, virtual_graph):
+    sent = virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
+    assert "not a finite number" in desk().answer({"do": "act", "action": action(float("nan"))})[0]["refused"]
     assert "without --moves" in desk(moves=False).answer({"do": "act", "action": action()})[0]["refused"]
+    clock.sleep(LATE_S)
+    assert not sent
 
 
 @pytest.mark.parametrize("request_", [{}, {"do": "stop"}, {"do": "act"}, {"do": "act", "action": [1.0]}])

@@ -31,7 +31,7 @@ NO_HAND, IN_BOX = (ReasonCode.NO_HAND,), (ReasonCode.FILLING,)
 NO_HINT = {
     ReasonCode.FILLING, ReasonCode.FOLLOWED, ReasonCode.TRACKER_SLOW, ReasonCode.ARM_NOT_READY, ReasonCode.OUT_OF_REACH,
     ReasonCode.NOT_ENABLED, ReasonCode.CLUTCHED, ReasonCode.ELSEWHERE, ReasonCode.CONTROL_OFF, ReasonCode.ARM_LEFT,
-    ReasonCode.HOLD, ReasonCode.EXPIRED,
+    ReasonCode.HOLD, ReasonCode.EXPIRED, ReasonCode.LED, ReasonCode.LEAD_LOST,
 }  # fmt: skip
 """The visitor cannot do anything about these, or the step's own hint says what to do."""
 

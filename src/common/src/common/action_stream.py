@@ -31,7 +31,7 @@ class ActionChunk:
 
 
 @dataclass(frozen=True)
-class Action:
+class PolicyAction:
     T_base_tool: np.ndarray  # shape (4, 4)
     fingers: np.ndarray  # shape (m,)
 
@@ -56,7 +56,7 @@ class ActionStream:
         check_chunk(chunk, self._count, now)
         self._chunk, self._before, self._taken_at = chunk, before, now
 
-    def at(self, now: float) -> Action | None:
+    def at(self, now: float) -> PolicyAction | None:
         """Returns the action that holds, None: there is none."""
         if self._chunk is None or now >= self._chunk.end:
             return None
@@ -87,18 +87,18 @@ def check_chunk(chunk: ActionChunk, fingers: int, now: float) -> None:
         check_pose(T)
 
 
-def _at(chunk: ActionChunk, now: float) -> Action:
+def _at(chunk: ActionChunk, now: float) -> PolicyAction:
     i = min(max((now - chunk.start) / chunk.period, 0.0), len(chunk.T_base_tool) - 1.0)
     first = int(i)
     last = min(first + 1, len(chunk.T_base_tool) - 1)
-    one, other = (Action(chunk.T_base_tool[k], chunk.fingers[k]) for k in (first, last))
+    one, other = (PolicyAction(chunk.T_base_tool[k], chunk.fingers[k]) for k in (first, last))
     return _between(one, other, i - first)
 
 
-def _between(one: Action, other: Action, w: float) -> Action:
+def _between(one: PolicyAction, other: PolicyAction, w: float) -> PolicyAction:
     R, p = one.T_base_tool[:3, :3], one.T_base_tool[:3, 3]
     R_step = scaled_rotation(R.T @ other.T_base_tool[:3, :3], w)
     fingers = other.fingers
     if one.fingers.shape == fingers.shape:
         fingers = (1.0 - w) * one.fingers + w * fingers
-    return Action(pose(R @ R_step, (1.0 - w) * p + w * other.T_base_tool[:3, 3]), fingers)
+    return PolicyAction(pose(R @ R_step, (1.0 - w) * p + w * other.T_base_tool[:3, 3]), fingers)

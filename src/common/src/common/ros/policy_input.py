@@ -8,7 +8,7 @@ import numpy as np
 import rospy
 
 from common import clock
-from common.action_stream import Action, ActionChunk, ActionStream
+from common.action_stream import ActionChunk, ActionStream, PolicyAction
 from common.ros.conversions import pose_from_message
 
 POLICY_ACTIONS = "leap_kuka/policy_actions"
@@ -25,7 +25,7 @@ class PolicyInput:
         self._refused = ""
         rospy.Subscriber(of + POLICY_ACTIONS, message_type, self._on_actions, queue_size=1, tcp_nodelay=True)
 
-    def at(self, now: rospy.Time) -> Action | None:
+    def at(self, now: rospy.Time) -> PolicyAction | None:
         """Returns the action that holds."""
         with self._lock:
             return self._stream.at(now.to_sec())

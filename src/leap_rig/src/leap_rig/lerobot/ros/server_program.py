@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import signal
 from collections.abc import Mapping
@@ -11,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import rospy
-import tf2_ros
-from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from common import clock
@@ -25,18 +26,22 @@ from common.robot_hand import HAND, hand_state
 from common.ros.compressed_images import jpeg_from_image
 from common.ros.files import home
 from common.ros.node import join, run_program
-from common.ros.raw_tf import publisher_of
+from common.ros.policy_input import POLICY_ACTIONS
+from common.ros.service_calls import call
+from common.teleop_record import LED
 from kuka_msgs.msg import jointPositions, jointTorquesExternal
 from leap_rig.cockpit.frame_poses import FramePoses, Pose7
-from leap_rig.lerobot.actions import ACTION, FINGERS, POSE, ActionStream
+from leap_rig.lerobot.actions import ACTION, FINGERS, HOLDS_S, POSE, action_fault
 from leap_rig.lerobot.server import LerobotServer
 from leap_rig.recording.dataset import camera_name
 from leap_rig.recording.topics import COLOR
 from reflex_msgs.msg import Hand, RadianServoCommands
+from rig_msgs.msg import PolicyActions, TeleopState
 
 SILENT_S, NO_IMAGE_S = 0.5, 2.0  # an older observation is a fault
-HAND_STEERS_S = 1.0  # after a desired tool of another node no action is taken
-PERIOD_S = 0.01
+LED_S = 0.5  # after the first action leap_kuka has said whether it leads the tool
+RUN_POLICY = "leap_kuka/run_policy"
+ANSWER_S, THERE_S, POLL_S = 2.0, 10.0, 0.1
 READ_BYTES = 2**22  # of a subscriber's buffer: rospy's own is smaller than an image
 JOINTS = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 
@@ -48,15 +53,15 @@ class RigDesk:
         self._cameras, self._quality, self._moves = cameras, quality, moves
         self._lock = clock.Lock()
         self._newest: dict[str, tuple[float, Any]] = {}
-        self._poses, self._stream, self._steered = FramePoses(), ActionStream(), -HAND_STEERS_S
-        self._fingers: tuple[float, ...] = ()
-        self._broadcaster = tf2_ros.TransformBroadcaster()
-        self._hand = rospy.Publisher(HAND.commands[0], RadianServoCommands, queue_size=1)
+        self._poses = FramePoses()
+        self._acted = self._acts_since = float("-inf")
+        self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
         for topic, kind in (
             ("kuka/joint_positions", jointPositions),
             ("kuka/joint_torques_external", jointTorquesExternal),
             (HAND.state, Hand),
             (HAND.commands[0], RadianServoCommands),
+            ("leap_kuka/state", TeleopState),
         ):
             rospy.Subscriber(topic, kind, partial(self._keep, topic), queue_size=1, tcp_nodelay=True)
         for name, topic in cameras.items():
@@ -77,28 +82,15 @@ class RigDesk:
             return {"refused": self._act(request["action"])}, {}
         raise DeviceError(f"The request is {what!r}, but must be hello, observe, intent, or act with an action.")
 
-    def publish(self) -> None:
-        """Publishes the desired tool and the fingers while actions come."""
-        with self._lock:
-            tool, fingers = self._stream.step(clock.monotonic()), self._fingers
-        if tool is None:
-            return
-        transform = Transform(Vector3(*tool[:3]), Quaternion(*tool[3:]))
-        self._broadcaster.sendTransform(TransformStamped(Header(0, rospy.Time.now(), BASE), TOOL_DESIRED, transform))
-        self._hand.publish(RadianServoCommands(fingers))
-
     def _keep(self, key: str, message: Any) -> None:
         with self._lock:
             self._newest[key] = clock.monotonic(), message
 
     def _transforms(self, topic: str, message: TFMessage) -> None:
         now = clock.monotonic()
-        mine = publisher_of(message) == rospy.get_name()
         with self._lock:
             for one in message.transforms:
                 child, p, q = frame_name(one.child_frame_id), one.transform.translation, one.transform.rotation
-                if child == TOOL_DESIRED and not mine:
-                    self._steered = now
                 received = float("inf") if topic == "/tf_static" else now
                 self._poses.put(frame_name(one.header.frame_id), child, (p.x, p.y, p.z, q.x, q.y, q.z, q.w), received)
 
@@ -151,14 +143,27 @@ class RigDesk:
         """Takes an action; returns why it does not, a sentence, or nothing."""
         if not self._moves:
             return "lerobot_server.py runs without --moves, so no action is taken."
-        measured, now = self._tool(TOOL_MEASURED), clock.monotonic()
+        fault = action_fault(action)
+        if fault:
+            return fault
+        x, y, z, *q = (float(action[name]) for name in POSE)
+        length = math.hypot(*q)
+        pose = Pose(Point(x, y, z), Quaternion(*(part / length for part in q)))
+        fingers = [float(action[name]) for name in FINGERS]
+        self._actions.publish(PolicyActions(Header(0, rospy.Time.now(), BASE), HOLDS_S, [pose], fingers))
+        return self._not_led()
+
+    def _not_led(self) -> str:
+        """Returns why leap_kuka does not lead the tool by the actions that come, a sentence; empty if it does."""
+        now = clock.monotonic()
         with self._lock:
-            if now - self._steered < HAND_STEERS_S:
-                return "Another node steers the tool, so no action is taken."
-            refused = self._stream.take(action, measured, now)
-            if not refused:
-                self._fingers = tuple(float(action[name]) for name in FINGERS)
-        return refused
+            if now - self._acted > HOLDS_S:
+                self._acts_since = now
+            self._acted = now
+            _, state = self._newest.get("leap_kuka/state", (now, None))
+            if now - self._acts_since < LED_S or (state is not None and state.hold == LED):
+                return ""
+        return f"The action moves nothing: {'leap_kuka says nothing' if state is None else state.reason}."
 
 
 def main() -> None:
@@ -178,16 +183,20 @@ def serve(options: argparse.Namespace) -> int:
     may = "may move the tool" if options.moves else "only reads"
     print(f"LeRobot {may}, by {path}.", flush=True)
     try:
-        while not interrupted.wait(PERIOD_S) and not rospy.is_shutdown():
-            desk.publish()
+        if options.moves:
+            call(RUN_POLICY, SetBool, True, timeout=ANSWER_S, wait=THERE_S)
+        while not interrupted.wait(POLL_S) and not rospy.is_shutdown():
+            pass
     finally:
         server.close()
+        if options.moves and not rospy.is_shutdown():
+            call(RUN_POLICY, SetBool, False, timeout=ANSWER_S)
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="lerobot_server.py", description=__doc__.partition("\n")[0])
-    parser.add_argument("--moves", action="store_true", help="actions become the desired tool, where no hand steers")
+    parser.add_argument("--moves", action="store_true", help="actions bring the tool where no hand steers it")
     where = "file of the socket (default: ~/.ros/leap_rig/lerobot.sock)"
     parser.add_argument("--socket", type=Path, metavar="FILE", help=where)
     images = f"topics of its images (default: {COLOR}); none: no images"
