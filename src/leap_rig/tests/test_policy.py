@@ -1,0 +1,101 @@
+"""A policy on the whole simulated rig: it moves arm and fingers, the operator takes over at any instant, and nothing
+jumps."""
+
+from __future__ import annotations
+
+import signal
+
+import numpy as np
+import pytest
+
+pytest.importorskip("kuka_msgs.srv")
+import rospy
+from std_srvs.srv import SetBool
+
+from campaign.rig import TELEOP
+from common import clock
+from common.poses import pose
+from common.ros.conversions import message_from_pose
+from common.ros.node import repeat
+from rig_msgs.msg import PolicyActions
+
+pytestmark = pytest.mark.ros
+
+SPEED_M_S, CIRCLE_S = 0.08, 4.0
+FINGERS = [0.4, 0.5, 0.6, 0.1]
+
+
+class CirclingPolicy:
+    """Lets the tool circle from where it is, in chunks of 0.8 s, five times a second."""
+
+    def __init__(self, rig):
+        self._rig = rig
+        self._publisher = rospy.Publisher("leap_kuka/policy_actions", PolicyActions, queue_size=1)
+        self.offset = np.zeros(3)
+        repeat(self._act, 0.2, "policy")
+
+    def _act(self):
+        T = self._rig.desired[-1] if self._rig.desired else self._rig.arm.now.T_base_tool
+        turn = 2.0 * np.pi * clock.monotonic() / CIRCLE_S
+        step = 0.1 * SPEED_M_S * np.array([np.cos(turn), np.sin(turn), 0.0])
+        tools = [pose(T[:3, :3], T[:3, 3] + i * step + self.offset) for i in range(1, 9)]
+        message = PolicyActions(period=0.1, tool=[message_from_pose(T) for T in tools], fingers=FINGERS * len(tools))
+        message.header.stamp, message.header.frame_id = rospy.Time.now(), "kuka/base_frame"
+        self._publisher.publish(message)
+
+
+@pytest.fixture
+def policy(rig):
+    """The rig with relative engagement, control on, and a policy that may act."""
+    rig.signal(TELEOP, signal.SIGINT)
+    rig.exit_code(TELEOP)
+    rospy.set_param("leap/engagement", "relative")
+    rospy.set_param("leap/hold_time", 30.0)
+    rig.stream_state = ""
+    rig.start(TELEOP)
+    rig.wait(lambda: rig.stream_state == "waiting", "the node to start again")
+    policy = CirclingPolicy(rig)
+    assert rig.control(True).success and rig.gripper(True).success
+    rig.watch(1.0)
+    assert rig.mode == "home" and not rig.desired, "nobody has said that it may"
+    assert rig.call("leap_kuka/run_policy", SetBool, True).success
+    return policy
+
+
+def desired_places(rig):
+    return np.array([T[:3, 3] for T in rig.desired])
+
+
+def test_a_policy_moves_arm_and_fingers_and_the_operator_takes_over_without_a_jump(rig, policy):
+    rig.wait_for_mode("servo")
+    rig.watch(4.0)
+    ways = np.ptp([sample.T_base_tool[:3, 3] for sample in rig.arm.since(rig.arm.now.time - 4.0)], axis=0)
+    assert ways[:2].min() > 0.05 and ways[2] < 0.01, "the circle"
+    assert np.abs(np.subtract(rig.robot_hand.ask("state")["angles"], FINGERS)).max() < 0.2 < min(FINGERS[:3])
+    rng, stood = np.random.default_rng(1), []
+    for _ in range(5):
+        rig.watch(float(rng.uniform(0.5, 2.0)))
+        rig.hand.show()
+        rig.wait(lambda: rig.stream_state == "running", "the operator to take over")
+        rig.watch(1.0)
+        stood.append(np.ptp(np.array([T[:3, 3] for T in rig.desired[-50:]]), axis=0).max())
+        rig.hand.hide()
+        rig.wait(lambda: rig.stream_state == "waiting" and "a program steers" in rig.stream[-1][1], "the policy again")
+    steps = np.linalg.norm(np.diff(desired_places(rig), axis=0), axis=1)
+    assert steps.max() < 0.004 and max(stood) < 0.01
+    assert not [text for _, _, text in rig.said if "safety stop" in text.lower()]
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0, -0.3), (np.nan, 0.0, 0.0)])
+def test_actions_that_jump_or_are_no_numbers_leave_the_tool_where_it_is(rig, policy, offset):
+    rig.wait_for_mode("servo")
+    rig.watch(1.0)
+    policy.offset = np.array(offset)
+    rig.watch(1.5)
+    stays = rig.desired[-1][:3, 3]
+    rig.watch(1.0)
+    np.testing.assert_allclose(rig.desired[-1][:3, 3], stays, atol=1e-9)
+    assert rig.mode == "servo" and max(sample.speed for sample in rig.arm.since(rig.arm.now.time - 0.5)) < 0.01
+    policy.offset = np.zeros(3)
+    rig.watch(2.0)
+    assert np.linalg.norm(rig.desired[-1][:3, 3] - stays) > 0.02, "it goes on"
