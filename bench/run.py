@@ -22,8 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the launch file of the controller, before numpy is loaded
 INTERRUPTED = 130  # exit code after Ctrl-C or SIGTERM
 NAMES = (
-    "kinematics", "control", "leap", "filter", "client", "shaping", "stopping", "robot_stop", "contact", "grasping",
-    "vision", "demo", "views", "pictures",
+    "kinematics", "control", "leap", "filter", "client", "shaping", "stopping", "robot_stop", "contact", "compliance",
+    "grasping", "vision", "demo", "views", "pictures",
 )  # fmt: skip
 
 

@@ -269,6 +269,13 @@ def filters() -> None:
     plot(PICTURES / "hand-filter.png")
 
 
+def compliance() -> None:
+    """A stiff and a soft arm at a wall and at a ring."""
+    from bench.bench_compliance import plot
+
+    plot(PICTURES / "compliance.png")
+
+
 MAKERS = {
     maker.__name__: maker
     for maker in (
@@ -288,6 +295,7 @@ MAKERS = {
         headset,
         plots,
         visualizer,
+        compliance,
         curves,
         filters,
     )

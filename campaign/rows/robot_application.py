@@ -220,7 +220,7 @@ def lost_while_soft(trial):
 
 
 @row(89, "Robot application: wrong tool mass", "R", within=2.0, named_by="load check fails", variant="watched",
-     still=True, hazards=(24,))  # fmt: skip
+     still=True, hazards=(24, 27))  # fmt: skip
 def wrong_mass(trial):
     rig = trial.rig
     with in_its_place(trial) as client:
@@ -316,7 +316,7 @@ def follows_on(trial, seconds: float) -> None:
 
 
 @row(93, "Robot application: enabling switch released in hand guiding", "H", within=0.35, operator=True,
-     limits=ROBOT_BRAKES, variant="watched", hazards=(1, 8))  # fmt: skip
+     limits=ROBOT_BRAKES, variant="watched", hazards=(1, 28))  # fmt: skip
 def switch_released(trial):
     rig = trial.rig
     with in_its_place(trial) as client:

@@ -59,6 +59,7 @@ def line(q):
     return f"jp_{'_'.join(map(str, q.tolist()))}_"
 
 
+@pytest.mark.hazard(27)
 def test_softness_needs_a_known_mass_the_load_check_and_rest():
     client = Client()
     assert client.one(JOINTS) == "no_lrSoftJoints_the tool's mass is not known: say lrTool first\n".replace(
@@ -199,6 +200,7 @@ def test_a_floating_arm_moves_by_hand_does_not_sink_and_is_stiff_without_its_cli
     assert client.events()[-1] == "servo mode ends: the watchdog" and client.arm.resting
 
 
+@pytest.mark.hazard(28)
 def test_a_hand_guides_the_arm_while_the_enabling_switch_is_pressed():
     client = Soft()
     assert client.one("lrGuide_") == "ok_lrGuide_\n"

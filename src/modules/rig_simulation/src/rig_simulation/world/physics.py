@@ -127,9 +127,11 @@ class World:
                 found.append({"bodies": bodies, **place, "force": float(force[0]), "depth": float(-contact.dist)})
         return found
 
+    def _build(self, description: WorldDescription) -> mujoco.MjModel:
+        return build_model(description, visuals=False)
+
     def _load(self, description: WorldDescription) -> None:
-        model = build_model(description, visuals=False)
-        scene = scene_from(description.scene)
+        model, scene = self._build(description), scene_from(description.scene)
         self.data: mujoco.MjData = self._placed(model, scene, self.data if self.loads else None)
         self.model, self.description, self._scene = model, description, scene
         self._geom_bodies = _geom_bodies(model)
