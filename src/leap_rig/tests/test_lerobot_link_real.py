@@ -87,6 +87,20 @@ def test_requests_are_answered_over_the_socket(rig, link):
         client.ask("observe")
 
 
+def test_clients_may_come_late_whatever_time_limit_the_process_has(tmp_path, link):
+    """Nodes give each new socket a time limit, after which nobody would be accepted any more."""
+    rig, limit_s = FakeRig(link.STATE), 0.05
+    socket.setdefaulttimeout(limit_s)
+    try:
+        server = LerobotServer(tmp_path / "rig.sock", rig.answer)
+    finally:
+        socket.setdefaulttimeout(None)
+    server._thread.join(20 * limit_s)
+    assert server._thread.is_alive()
+    link.RigLink(str(tmp_path / "rig.sock")).connect()
+    server.close()
+
+
 def test_what_is_no_message_ends_the_connection_and_not_the_server(rig, link):
     for sent in (b"GET / HTTP/1.1", b"LEAP\x00\x09" + bytes(8)):
         with socket.socket(socket.AF_UNIX) as client:

@@ -99,6 +99,7 @@ def _listening(path: Path) -> socket.socket:
         finally:
             os.umask(before)
         server.listen(MOST_CLIENTS)
+        server.settimeout(None)  # whatever a node gives its sockets
     except OSError as error:
         server.close()
         raise DeviceError(f"{path} cannot be listened on: {error.strerror or error}.") from error

@@ -38,7 +38,7 @@ from leap_rig.recording.topics import COLOR
 from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import PolicyActions, TeleopState
 
-SILENT_S, NO_IMAGE_S = 0.5, 2.0  # an older observation is a fault
+SILENT_S, SLOW_S = 0.5, 2.0  # an older observation is a fault; older torques and images, which come less often
 LED_S = 0.5  # after the first action leap_kuka has said whether it leads the tool
 RUN_POLICY = "leap_kuka/run_policy"
 ANSWER_S, THERE_S, POLL_S = 2.0, 10.0, 0.1
@@ -111,7 +111,7 @@ class RigDesk:
         return chain[1] if chain is not None and chain[0] == BASE else None
 
     def _state(self) -> dict[str, float]:
-        joints, torques = self._of("kuka/joint_positions"), self._of("kuka/joint_torques_external")
+        joints, torques = self._of("kuka/joint_positions"), self._of("kuka/joint_torques_external", SLOW_S)
         tool = self._tool(TOOL_MEASURED)
         if tool is None:
             raise DeviceError(f"{TOOL_MEASURED} has said nothing, so there is no observation.")
@@ -124,7 +124,7 @@ class RigDesk:
 
     def _image(self, name: str) -> bytes:
         try:
-            return bytes(jpeg_from_image(self._of(name, NO_IMAGE_S), self._quality).data)
+            return bytes(jpeg_from_image(self._of(name, SLOW_S), self._quality).data)
         except ValueError as error:
             raise DeviceError(f"The image of {name} cannot be read: {error}.") from error
 
