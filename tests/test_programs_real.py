@@ -176,7 +176,7 @@ PROGRAMS = {
     ],
 }  # fmt: skip
 ELSEWHERE = {
-    "collect_shown_grasp.py", "move.py", "simple_controller.py", "hand_wizard.py", "demo.py",
+    "collect_shown_grasp.py", "move.py", "simple_controller.py", "teach.py", "hand_wizard.py", "demo.py",
     "lerobot_server.py", "record.py", "record_episodes.py", "replay.py", "ros2_bridge.py", "calibrate_camera.py",
     "workspace_plotter.py", "register_rgbd_node.py", "stereo_web_node.py",
 }  # fmt: skip

@@ -81,6 +81,7 @@ PROGRAMS = [
     Program("kuka_control/ptp_controller.py"),
     Program("kuka_control/real_time_controller.py"),
     Program("kuka_control/simple_controller.py", ("--list",), ALONE),
+    Program("kuka_control/teach.py", ("list",), ALONE),
     Program("kuka_control/workspace_plotter.py", ("--samples", "3", "--attitudes", "1"), (WINDOW,)),
     Program("leap_hand/hand_wizard.py", ("somebody",)),
     Program("leap_hand/leap_hand_node.py"),

@@ -9,7 +9,7 @@ import numpy as np
 from loop_world import CLOCK, rig, shifted
 
 from common import clock
-from kst import KstClient, ReplyTimeout, ToolTransform
+from kst import KstClient, ReplyTimeout, SoftSettings, ToolTransform
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import Inputs
@@ -27,6 +27,7 @@ from simulated.wires import virtual_wires
 
 PROBES = {"getPin3", "getJointsPositions"}
 CYCLE_S = 0.004
+SOFT = SoftSettings(500.0, 100.0, 0.7, 40.0, 20.0, 0.2)
 GROUP = "robot"
 ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
 
@@ -54,13 +55,16 @@ class Bench:
         self.sent, self.goals = [], []
         self.up.sent = self._note
         weighed = application is not None and application.tool_mass > 0.0
-        arm = KstArm(self.client, partial(wrench_at_tool, self.rig.kinematics), guarded=True, weighed=weighed)
+        arm = KstArm(
+            self.client, partial(wrench_at_tool, self.rig.kinematics), guarded=True, weighed=weighed, soft=SOFT
+        )
         self.make = partial(assembly.real_time_loop, settings, self.rig)
         self.loop = self.make()
         self.controller = Controller(arm, self.loop)
         self.mode = "starting"
         self.arm, self.control_on, self.enable_count, self.stop_count, self.payload = arm, True, 1, 0, 0.0
         self.paused, self.stop_because = False, "control is off"
+        self.soft = False
         self.hand = True  # whether the operator has one
         self.move = None  # that a program asks for
 
@@ -122,6 +126,7 @@ class Bench:
             stop_count=self.stop_count,
             stop_because=self.stop_because,
             paused=self.paused,
+            soft=self.soft,
         )
 
     def switch(self, on):

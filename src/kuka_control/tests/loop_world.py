@@ -78,7 +78,7 @@ class FakeArm(Arm):
         self._measure()
 
     def tick(self, dt):
-        if not self.held:
+        if not self.held and np.isfinite(self.goal).all():
             self.q = self.q + np.clip(self.goal - self.q, -self.speed * dt, self.speed * dt)
 
     def read(self):
@@ -92,6 +92,12 @@ class FakeArm(Arm):
         self.commands.append(("ptp", tuple(np.round(q, 9)), velocity))
         self._refuse("start")
         self.goal, self.mode, self.ranges = q, "ptp", torques
+
+    def start_guiding(self):
+        assert self.mode == "idle"
+        self.commands.append(("guide",))
+        self._refuse("start_guiding")
+        self.goal, self.mode = np.full(7, np.inf), "ptp"
 
     def ptp_arrived(self):
         assert self.mode == "ptp"

@@ -34,7 +34,7 @@ def test_the_files_hold_good_defaults_for_every_key_and_nothing_else(schema):
 def test_every_line_says_its_unit(schema):
     for line in FILES[schema].read_text().splitlines():
         if re.match(r"\w+:", line):
-            assert re.search(r"# .*(\bm\b|\bkg\b|\bs\b|\bdeg\b|\bHz\b|m/s|no unit|fraction of)", line), line
+            assert re.search(r"# .*(\bm\b|\bNm?\b|\bkg\b|\bs\b|\bdeg\b|\bHz\b|m/s|no unit|fraction of)", line), line
 
 
 OF_BOTH = [

@@ -50,6 +50,21 @@ def test_a_toggle_asks_and_turns_green_only_when_the_function_is_on(panel, name)
     assert asked == [(True,), (False,)] and button.isChecked()
 
 
+def test_a_motion_is_paused_only_where_the_robot_can_and_the_tip_says_what_a_stop_does(panel):
+    asked = emitted(panel.pause_requested)
+    assert not panel.pause.isVisible() and "only the red button of the smartPad stops that" in panel.emergency.toolTip()
+    panel.show_state(state(stops=True))
+    assert panel.pause.isVisible() and "The robot stops whatever moves" in panel.emergency.toolTip()
+    click(panel.pause)
+    assert asked == [(True,)] and not panel.pause.isChecked()
+    panel.show_state(state(stops=True, paused=True))
+    assert panel.pause.isChecked()
+    click(panel.pause)
+    assert asked == [(True,), (False,)]
+    panel.show_state(state(stops=True, present=False))
+    assert not panel.pause.isEnabled() and "The robot stops whatever moves" in panel.emergency.toolTip()
+
+
 @pytest.mark.parametrize(("key", "factor"), [("Key_Left", 0.99), ("Key_Right", 1.01), ("Key_PageDown", 0.9)])
 def test_keys_move_the_slider_by_a_hundredth_or_a_tenth(panel, key, factor):
     from python_qt_binding.QtCore import Qt

@@ -25,6 +25,13 @@ def test_what_the_controller_says_is_shown():
     assert state.status_line == "servo: the hand steers the arm (limited by: z lower limit)"
 
 
+def test_what_the_robot_can_is_known_also_of_a_controller_that_hangs():
+    able = replace(STATUS, abilities=("stop", "watchdog"), paused=True)
+    state, silent = panel_state(able, 10.1), panel_state(able, 100.0)
+    assert state.stops and state.paused and silent.stops and not silent.paused
+    assert not panel_state(STATUS, 10.1).stops and not panel_state(None, 0.0).stops
+
+
 @given(st.integers(100_000, 1_500_000), st.booleans())
 def test_a_factor_is_shown_with_two_decimals_and_all_that_it_has(millionths, as_float32):
     factor = millionths / 1e6

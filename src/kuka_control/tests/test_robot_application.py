@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from link_world import bench
+from link_world import SOFT, bench
 from loop_world import rig
 
 from common import clock
 from common.errors import ConfigError
-from kst import ApplicationSettings
-from kuka_control.loop.moves import MoveGoal, MovePlanner, MoveState
+from common.modes import Mode
+from kst import ApplicationSettings, WrongMode
+from kuka_control.loop.moves import MoveGoal, MovePlanner, MoveState, ProgramMotion
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.switches import Switches
 
@@ -329,3 +330,137 @@ def test_what_counts_as_released(virtual_graph):
     watch.check()
     watch.check()
     assert len(released) == 2 and "is silent for 0.5 s" in released[1]
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(("stops", "left"), [(True, "the robot stops, as its client"), (False, "runs to its end")])
+def test_what_is_said_of_a_controller_that_hangs_is_true_of_its_robot(monkeypatch, stops, left):
+    from common.ros.service_calls import ServiceFailed
+    from kuka_control.ros import emergency
+
+    def hangs(timeout):
+        raise ServiceFailed(emergency.SERVICE, "does not answer", False)
+
+    killed = []
+    monkeypatch.setattr(emergency, "kill", killed.append)
+    monkeypatch.setattr(emergency, "runs", lambda process: process not in killed)
+    process = emergency.ControllerProcess(10**7, 0)
+    ended, sentence = emergency.stop(hangs, process, "here", stops)
+    assert ended and killed == [process] and left in sentence
+
+
+def pushed(one, force, seconds=2.0):
+    """Pushes the tool along its axes [N]; returns the last step."""
+    one.robot.set_tool_force(np.array(force))
+    return events(one, seconds)[0]
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_a_soft_arm_follows_yields_to_a_force_and_comes_back(soft):
+    with bench(application=KNOWN, tool_weight=True) as one:
+        one.soft = soft
+        following(one)
+        assert one.sent.count("lrSoftTool") == soft, "once, after the stiff test motion"
+        events(one, 2.0)
+        behind = [off(one)]
+        for force in ((0.0, 0.0, 15.0), (0.0, 0.0, 0.0)):
+            step = pushed(one, force)
+            assert step.mode == "servo", step.reason
+            behind.append(off(one))
+        assert (behind[1] - behind[0] > 0.02) is soft and abs(behind[2] - behind[0]) < 0.01
+        one.switch(False)
+        one.run(clock.monotonic() + 20.0, "home")
+
+
+def off(one):
+    """Returns how far the tool is from its goal along its own z axis [m]."""
+    T_goal = one.rig.kinematics.forward(one.loop.goal)
+    return float((np.linalg.inv(T_goal) @ one.rig.kinematics.forward(one.robot.q))[2, 3])
+
+
+def test_beyond_its_force_a_soft_arm_stops_and_says_so():
+    with bench(application=KNOWN, tool_weight=True) as one:
+        one.soft, one.arm._soft = True, replace(SOFT, force=10.0)
+        following(one)
+        step = pushed(one, (0.0, 0.0, 15.0))
+        assert step.mode == "stopped" and "the controller gave up" in step.reason
+
+
+def test_an_arm_whose_load_is_wrong_does_not_start_stiff_instead():
+    with bench(application=ApplicationSettings(tool_mass=2.0), tool_weight=True) as one:
+        one.soft = True
+        one.run(clock.monotonic() + 30.0, "stopped")
+        step = one.cycle()
+        assert "the controller's load check fails" in step.reason and not one.controller.in_servo
+        events(one, 0.5)
+        assert at_rest(one)
+
+
+def test_compliance_changes_at_rest_with_a_known_mass_only():
+    switches = Switches()
+    switches.report(Mode.SERVO, None)
+    assert switches.set_soft(True).message == "The arm stays stiff: it changes at rest only, but the mode is servo."
+    switches.report(Mode.HOME, None)
+    assert switches.set_soft(True).success and switches.now.soft
+    assert switches.set_soft(False).success and not switches.now.soft
+    unknown = Switches(stiff_because="tool_mass is 0")
+    unknown.report(Mode.HOME, None)
+    assert unknown.set_soft(True).message == "The arm stays stiff: tool_mass is 0." and not unknown.now.soft
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [({}, "the toolbox knows stiff only"), ({"robot_server": "leap_rig", "tool_mass": 0.0}, "tool_mass is 0")],
+)
+def test_a_soft_arm_needs_its_server_and_its_tool(changes, sentence):
+    with pytest.raises(ConfigError, match=f"compliance is soft, but {sentence}"):
+        rig(RealTimeConfig, compliance="soft", **changes)
+
+
+def guided(one):
+    """A hand may guide the arm, as a program asked for."""
+    one.hand = False
+    one.run(clock.monotonic() + 20.0, "home")
+    one.move = ProgramMotion(1, "there", one.arm.measured_joints, 0.0, guided=True)
+    step, _ = events(one, 0.3)
+    assert step.mode == "moving" and one.controller.moving, step.reason
+    return one
+
+
+def test_a_hand_guides_the_arm_while_it_holds_the_enabling_switch():
+    with bench(application=KNOWN, tool_weight=True) as one:
+        before = guided(one).robot.q
+        pushed(one, (15.0, 0.0, 0.0))
+        np.testing.assert_allclose(one.robot.q, before, atol=1e-6)
+        one.robot.enabling = True
+        step = pushed(one, (15.0, 0.0, 0.0), 0.5)
+        assert step.mode == "moving" and np.max(np.abs(one.robot.q - before)) > 0.02, step.reason
+        one.robot.enabling = False
+        step, _ = events(one, 0.5)
+        assert step.mode == "holding" and step.move.state is MoveState.DONE and at_rest(one)
+        planner = MovePlanner(one.rig, {}, 0.15, 0.25, None)
+        one.move = planner.plan(2, MoveGoal(one.rig.home.q), one.arm.measured_joints)
+        one.run(clock.monotonic() + 20.0, "moving")
+
+
+@pytest.mark.parametrize(("ends", "mode"), [("cancel", "holding"), ("off", "stopped"), ("hang", "stopped")])
+def test_hand_guiding_ends_when_it_is_asked_to_and_the_arm_stays(ends, mode):
+    with bench(application=KNOWN, tool_weight=True) as one:
+        guided(one).robot.enabling = True
+        pushed(one, (15.0, 0.0, 0.0), 0.5)
+        if ends == "cancel":
+            one.move = replace(one.move, cancelled=True)
+        elif ends == "off":
+            one.switch(False)
+        else:
+            clock.sleep(0.5)
+        step, _ = events(one, 0.5)
+        assert step.mode == mode and at_rest(one), step.reason
+
+
+def test_the_toolbox_lets_no_hand_guide_the_arm():
+    with bench() as one:
+        one.hand = False
+        one.run(clock.monotonic() + 20.0, "home")
+        with pytest.raises(WrongMode, match="the robot application can"):
+            one.client.start_guiding()

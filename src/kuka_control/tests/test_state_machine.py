@@ -17,8 +17,8 @@ from kst import ReplyTimeout
 from kuka_control.limits.line_plan import MoveRefused
 from kuka_control.limits.motion_limits import LimitedGoal
 from kuka_control.limits.moving_arm import GuardError
-from kuka_control.loop.commands import End, Servo, StartPtp, StartServo, StopServo, Wait
-from kuka_control.loop.moves import MoveState
+from kuka_control.loop.commands import End, Servo, StartGuiding, StartPtp, StartServo, StopServo, Wait
+from kuka_control.loop.moves import MoveState, ProgramMotion
 from kuka_control.loop.transitions import (
     PTP_STATES,
     REAL_TIME_STATES,
@@ -37,6 +37,7 @@ INFEASIBLE = pose(HOME.T_base_tool[:3, :3], (-0.3, 0.3, 0.4))
 FAR, FARTHER = shifted(0.1, 0.0, 0.0), shifted(0.1, 0.1, 0.0)
 COMMANDS = {
     Action.NONE: Wait,
+    Action.GUIDE: StartGuiding,
     Action.PTP: StartPtp,
     Action.START_SERVO: StartServo,
     Action.STOP_SERVO: StopServo,
@@ -78,10 +79,10 @@ TRAITS = {
     Trait.MOVES: "HOMING PICK_UP RETURNING TO_GOAL ZERO",
     Trait.STREAMS: "SERVO BRAKING LINE LINE_BRAKING",
     Trait.BRAKES: "BRAKING LINE_BRAKING",
-    Trait.PROGRAM: "TO_GOAL LINE LINE_BRAKING",
+    Trait.PROGRAM: "TO_GOAL LINE LINE_BRAKING GUIDING",
     Trait.FOLLOWS: "PICK_UP SERVO",
     Trait.RESTS: "HOME AT_POSE SERVO_LEFT AT_GOAL",
-    Trait.FORGETS: "HOMING RETURNING TO_GOAL LINE STOPPED ZERO",
+    Trait.FORGETS: "HOMING RETURNING TO_GOAL LINE GUIDING STOPPED ZERO",
     Trait.SCALES_HERE: "PICK_UP AT_POSE SERVO BRAKING SERVO_LEFT",
     Trait.LATCHES: "STOPPED",
 }
@@ -254,6 +255,16 @@ def cancel_what_can_stop(world):
     cancel(world)
 
 
+def guide(world):
+    world.control_on = True
+    world.number += 1
+    world.move = ProgramMotion(world.number, "there", world.arm.q, 0.0, guided=True)
+
+
+def let_go(world):
+    world.arm.goal = world.arm.q
+
+
 LINE = shifted(0.1, 0.0, 0.05)
 
 # How a state is reached: the state before, what happens there, and the desired tool frame from then on.
@@ -273,6 +284,7 @@ PATHS = {
     State.ZERO: (State.HOME, leave, None),
     State.TO_GOAL: (State.HOME, ask_for("aside"), None),
     State.AT_GOAL: (State.TO_GOAL, nothing, None),
+    State.GUIDING: (State.HOME, guide, None),
     State.LINE: (State.HOME, ask_for(LINE, straight=True), None),
     State.LINE_BRAKING: (State.LINE, after_a_while(cancel), None),
 }
@@ -301,6 +313,7 @@ EVENTS = {
     Trigger.CONFLICT: (lambda world: setattr(world, "conflict", "Two nodes publish it."), FAR),
     Trigger.MOVE: (ask_for("zero"), None),
     Trigger.LINE: (ask_for(LINE, straight=True), None),
+    Trigger.GUIDE: (guide, None),
     Trigger.CANCELLED: (after_a_while(cancel), None),
     Trigger.NO_PROGRESS: (hold_the_goals, None),
 }
@@ -324,7 +337,9 @@ EVENTS_IN = {
     **{(state, Trigger.REFUSED): (refuse("read"), None) for state in (State.HOME, State.AT_POSE, State.AT_GOAL)},
     **{(state, Trigger.REFUSED): (refuse("servo"), FAR) for state in (State.IDENTIFYING, State.SERVO, State.BRAKING)},
     **{(state, Trigger.REFUSED): (refuse("servo"), None) for state in (State.LINE, State.LINE_BRAKING)},
-    (State.TO_GOAL, Trigger.CANCELLED): (cancel_what_can_stop, None),
+    **{(state, Trigger.CANCELLED): (cancel_what_can_stop, None) for state in (State.TO_GOAL, State.GUIDING)},
+    (State.GUIDING, Trigger.ARRIVED): (let_go, None),
+    (State.GUIDING, Trigger.REFUSED): (refuse("end"), None),
     (State.AT_GOAL, Trigger.NEAR_TARGET): (enable, aside(0.003)),
     (State.AT_GOAL, Trigger.FAR_TARGET): (enable, aside(0.1)),
     (State.LINE, Trigger.LAG): (after_a_while(hold), None),

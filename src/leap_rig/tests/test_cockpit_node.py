@@ -122,17 +122,18 @@ def controller(virtual_graph, monkeypatch):
 
     def main():
         rospy.init_node("controller")
-        Services(switches)
+        Services(switches, pausable=True)
         status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
         while not rospy.is_shutdown():
             now = switches.now
-            status.publish(KukaStatus(host=node.host, pid=node.number, mode="home", control_on=now.control_on))
+            shown = {"control_on": now.control_on, "robot_abilities": node.abilities, "paused": now.paused}
+            status.publish(KukaStatus(host=node.host, pid=node.number, mode="home", **shown))
             clock.sleep(0.05)
 
     switches = Switches()
     switches.report("home", None)
     node = virtual_graph.start("controller", main)
-    node.switches, node.host, node.number = switches, socket.gethostname(), 10**7
+    node.switches, node.host, node.number, node.abilities = switches, socket.gethostname(), 10**7, []
     monkeypatch.setattr(emergency, "_is_controller", lambda pid: pid == node.number)
     runs = lambda pid: pid == node.number and node.poll() is None  # noqa: E731
     monkeypatch.setattr(emergency, "_start_of", lambda pid: 0 if runs(pid) else None)
@@ -192,6 +193,18 @@ def test_a_command_that_waited_too_long_in_the_node_is_not_obeyed(pages, control
     pages.obey(PageCommand("gripper", "", True))
     pages.wait(lambda: controller.switches.now.gripper_on, 5.0, "what is asked later")
     assert controller.switches.now.control_on
+
+
+def test_a_page_pauses_a_motion_where_the_robot_can(pages, controller):
+    open_page(pages)
+    assert not pages.shown["arms"][""]["stops"]
+    controller.abilities = ["stop"]
+    controller.switches.report("homing", None, stops=True)
+    pages.wait(lambda: pages.shown["arms"][""]["stops"], 5.0, "the button")
+    for on in (True, False):
+        pages.obey(PageCommand("pause", "", on))
+        pages.wait(lambda on=on: pages.shown["arms"][""]["paused"] is on, 5.0, "the pause")
+    pages.wait(lambda: any("The motion continues" in text for text in pages.said), 5.0, "the answer")
 
 
 def test_what_waits_in_the_node_when_a_page_stops_the_arm_is_dropped(pages, controller, stand):

@@ -105,7 +105,8 @@ def test_every_parameter_is_compared_or_left_out_on_purpose():
     assert fields - KNOWN == LEFT_OUT == {
         "ip", "port", "time_out", "home_pos", "use_home_pos", "named_positions", "rate_joints", "rate_state",
         "rate_servo", "servo_law", "joints_thresh", "ptp_contact_torque", "flange_force_raw", "robot_server",
-        "watchdog_brake", "watchdog_end",
+        "watchdog_brake", "watchdog_end", "compliance", "soft_stiffness", "soft_turning_stiffness", "soft_damping",
+        "soft_force", "soft_moment", "soft_path",
     }  # fmt: skip
 
 
@@ -116,12 +117,13 @@ def test_no_parameter_that_is_left_out_moves_a_joint_elsewhere_on_a_recorded_pat
         "ip": "10.0.0.1", "port": 30002, "time_out": 0.5, "named_positions": "/another.yaml", "rate_joints": 50.0,
         "rate_state": 10.0, "rate_servo": 100.0, "servo_law": "lts", "use_home_pos": True,
         "ptp_contact_torque": 5.0, "flange_force_raw": True, "robot_server": "leap_rig", "watchdog_brake": 0.5,
-        "watchdog_end": 20.0,
+        "watchdog_end": 20.0, "compliance": "soft", "soft_stiffness": 100.0, "soft_turning_stiffness": 10.0,
+        "soft_damping": 0.5, "soft_force": 10.0, "soft_moment": 5.0, "soft_path": 0.1,
         "home_pos": [-30.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0], "elbow_preference": 60.0,
     }  # fmt: skip
 
     def path(**changes):
-        config = parse(RealTimeConfig, {**kuka, **changes}, "kuka/")
+        config = parse(RealTimeConfig, {**kuka, "robot_server": "leap_rig", **changes}, "kuka/")  # compliance needs it
         limits = line_limits(config, Rig.of(config, None, None))
         q = Rig.of(parse(RealTimeConfig, kuka, "kuka/")).home.q
         T = translation(0.0, 0.1, 0.05) @ limits.kinematics.forward(q)

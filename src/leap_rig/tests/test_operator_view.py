@@ -105,12 +105,12 @@ def test_what_acts_is_named():
     waiting = rows_after(hand_record("waiting", False, "", ["in the box", "flat"], [True], []))["Start"]
     assert (waiting.values, waiting.text) == ((1.0, 0.0), "1 of 2 conditions")
     hand = hand_record("running", True, "right hand 3 is followed", ["in the box", "flat"], [True], ["yaw"])
-    arm = ArmView("servo", "follows", ["z lower limit"], 0.002)
+    arm = ArmView("servo", "follows", ["z lower limit"], 0.002, "LeapRigServer 1", ["stop", "watchdog"])
     rows = rows_after(hand, arm, GuardedPair(True, 0.05, 0.02, 0.4, ("distal_1", "table")))
     assert rows["Start"].labels == ()
     assert (rows["Limits"].text, rows["Limits"].tone) == ("z lower limit, hand's yaw", RowTone.WARNING)
     assert rows["Guard"].text == "50 mm from distal_1 to table, 40 % of the speed"
-    assert rows["Link"].text == "round trip 2.0 ms, jitter 0.0 ms"
+    assert rows["Link"].text == "round trip 2.0 ms, jitter 0.0 ms; LeapRigServer 1 (stop, watchdog)"
     assert rows_after(GuardedPair(True, math.inf, 0.02, 1.0, ("", "")))["Guard"].text == "nothing near"
 
 

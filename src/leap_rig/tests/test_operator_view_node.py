@@ -73,7 +73,8 @@ def rig(ros):
             delay = [KeyValue("hand_to_arm_ms", value) for value in ("unknown", "91")]
             pressed = Finger(contact=[True] + 8 * [False], pressure=[30.0] + 8 * [0.0])
             messages = (
-                KukaStatus(mode="servo", reason="follows", limited_by=["joint speed"], round_trip=0.002),
+                KukaStatus(mode="servo", reason="follows", limited_by=["joint speed"], round_trip=0.002,
+                           robot_server="toolbox"),
                 TeleopState(state=self.state, reason="why", conditions=["flat"], fulfilled=[True]),
                 DiagnosticArray(status=[DiagnosticStatus(name="x", values=delay)]), Hand(finger=[pressed] * 3),
                 FrameMessage(skeleton(), rospy.Time.now()),
@@ -103,7 +104,7 @@ def test_it_shows_what_came_to_those_who_look_and_hears_only_then(ros, rig):
         return {row.name: row.text for row in views[-1].rows}
 
     expected = {"Hand": "waiting: why", "Arm": "servo: follows", "Limits": "joint speed", "Delay": "hand to arm 91 ms",
-                "Grip": "grips", "Link": "round trip 2.0 ms, jitter 0.0 ms", "Guard": "-"}  # fmt: skip
+                "Grip": "grips", "Link": "round trip 2.0 ms, jitter 0.0 ms; toolbox", "Guard": "-"}  # fmt: skip
     assert expected.items() <= texts().items()
     bones, joints = hands[-1].markers
     assert (len(bones.points), len(joints.points)) == (40, 26)

@@ -143,17 +143,33 @@ def label(text: str = "", name: str = "") -> QLabel:
 
 
 EMERGENCY_TIP = (
-    "Stops the controller at once, by force if it hangs. The arm holds its last goal;\n"
-    "a motion to a point (home, pick-up, zero) runs to its end: only the red button of the smartPad stops that.\n"
+    "Stops the controller at once, by force if it hangs. {}\n"
     "Keys, while this window has the keyboard: Esc always, the space bar unless Tab has moved the focus.\n"
-    "This is no safety function: keep that button within reach."
+    "This is no safety function: keep the red button of the smartPad within reach."
 )
+RUNS_ON = (
+    "The arm holds its last goal;\n"
+    "a motion to a point (home, pick-up, zero) runs to its end: only the red button of the smartPad stops that."
+)
+STOPS = "The robot stops whatever moves,\nalso where the controller hangs: then once it misses that (watchdog_brake)."
+PAUSE_TIP = "Pauses a motion to a point (home, pick-up, zero), and continues it. Control off ends it."
+
+GUIDE_TIP = (
+    "Lets a hand move the arm while the enabling switch is held: control on, at home or where a program left it."
+)
+
+
+def emergency_tip(stops: bool) -> str:
+    """Returns what the Emergency Stop does; `stops`: the robot can stop a motion to a point."""
+    return EMERGENCY_TIP.format(STOPS if stops else RUNS_ON)
 
 
 class ControlPanel(QWidget):
     """The panel of one arm; `narrow`: in one column, beside that of another."""
 
     control_requested = Signal(bool)
+    pause_requested = Signal(bool)
+    guide_requested = Signal(bool)
     gripper_requested = Signal(bool)
     scaling_requested = Signal(float)
     exit_requested = Signal()
@@ -168,8 +184,15 @@ class ControlPanel(QWidget):
         high, lines = (44, 4) if narrow else (64, 3)
         self.control = _button("ROS Control", high, grows=True, checkable=True)
         self.control.setAccessibleName("ROS Control of the arm")
+        self.pause = _button("Pause", 40, checkable=True)
+        self.pause.setToolTip(PAUSE_TIP)
+        self.guide = _button("Hand Guiding", 40, checkable=True)
+        self.guide.setToolTip(GUIDE_TIP)
+        for button in (self.pause, self.guide):
+            button.hide()
         self.gripper = _button("ROS Control", high, grows=True, checkable=True)
         self.gripper.setAccessibleName("ROS Control of the gripper")
+        self._toggles = (self.control, self.pause, self.guide, self.gripper)
         self.scaling_label = label()
         self.scaling_label.setAlignment(Qt.AlignHCenter)
         self._held_at = 0  # where the slider was when the operator took it [steps]
@@ -183,7 +206,7 @@ class ControlPanel(QWidget):
         self.exit.setToolTip(EXIT_TIP)
         self.emergency = _button("Emergency Stop", 80, grows=True)
         self.emergency.setObjectName("emergency")
-        self.emergency.setToolTip(EMERGENCY_TIP)
+        self.emergency.setToolTip(emergency_tip(False))
         self.status = Sentence(lines)
         self.answer = Sentence(lines)
         self.operator = OperatorRows()
@@ -195,7 +218,12 @@ class ControlPanel(QWidget):
         """Shows the state; a slider that the operator holds stays where it is."""
         self.control.setChecked(state.control_on)
         self.gripper.setChecked(state.gripper_on)
-        for widget in (self.control, self.gripper, self.exit, self.scaling, self.reset, self.scaling_label):
+        self.pause.setChecked(state.paused)
+        self.pause.setVisible(state.stops)
+        self.guide.setChecked(state.guided)
+        self.guide.setVisible(state.guides)
+        self.emergency.setToolTip(emergency_tip(state.stops))
+        for widget in (*self._toggles, self.exit, self.scaling, self.reset, self.scaling_label):
             widget.setEnabled(state.present)
         if not self.scaling.isSliderDown():
             self.scaling.blockSignals(True)
@@ -221,7 +249,9 @@ class ControlPanel(QWidget):
         grid.setSpacing(4 if narrow else 10)
         if narrow:
             grid.setContentsMargins(0, 0, 0, 0)
-        kuka = _group("KUKA", self.control, self.scaling_label, self.scaling, scale_ends, self.reset)
+        kuka = _group(
+            "KUKA", self.control, self.pause, self.guide, self.scaling_label, self.scaling, scale_ends, self.reset
+        )
         gripper, end = _group("Gripper", self.gripper), _group("Application", self.exit, self.emergency)
         columns = 1 if narrow else 2
         if narrow:
@@ -245,13 +275,24 @@ class ControlPanel(QWidget):
         for column in range(columns):
             grid.setColumnStretch(column, 1)
             grid.setColumnMinimumWidth(column, 230 if narrow else 240)
-        order = (self.emergency, self.control, self.scaling, self.reset, self.gripper, self.exit)
+        order = (
+            self.emergency,
+            self.control,
+            self.pause,
+            self.guide,
+            self.scaling,
+            self.reset,
+            self.gripper,
+            self.exit,
+        )
         for first, second in zip(order, order[1:]):
             self.setTabOrder(first, second)
 
     def _connect(self) -> None:
         # clicked comes from the operator only; show_state never triggers it.
         self.control.clicked.connect(lambda on: self._ask(self.control, self.control_requested, on))
+        self.pause.clicked.connect(lambda on: self._ask(self.pause, self.pause_requested, on))
+        self.guide.clicked.connect(lambda on: self._ask(self.guide, self.guide_requested, on))
         self.gripper.clicked.connect(lambda on: self._ask(self.gripper, self.gripper_requested, on))
         self.scaling.sliderPressed.connect(self._scaling_held)
         self.scaling.sliderReleased.connect(self._scaling_released)
@@ -285,7 +326,12 @@ class ControlPanel(QWidget):
         self.scaling_requested.emit(self.scaling.value() / STEPS_PER_UNIT)
 
 
-ALL_ARMS_TIP = EMERGENCY_TIP.replace("the controller", "the controllers of all arms").replace("The arm", "Each arm")
+ALL_ARMS_TIP = (
+    emergency_tip(False)
+    .replace("the controller", "the controllers of all arms")
+    .replace("The arm", "Each arm")
+    .replace("runs to its end:", "runs to its end, but where there is a button Pause:")
+)
 
 
 class ArmsPanel(QWidget):

@@ -33,6 +33,14 @@ class ControllerStatus:
     limited_by: tuple[str, ...] = ()
     host: str = ""
     pid: int = 0
+    abilities: tuple[str, ...] = ()  # of the application on the robot's controller
+    paused: bool = False
+    guided: bool = False
+
+    @property
+    def stops(self) -> bool:
+        """Whether the robot can stop and pause a motion to a point."""
+        return "stop" in self.abilities
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,10 @@ class PanelState:
     scaling_factor: float
     status_line: str
     tone: Tone = Tone.NORMAL
+    stops: bool = False  # whether the robot can stop and pause a motion to a point
+    paused: bool = False  # whether it is to pause
+    guides: bool = False  # whether a hand can guide the arm
+    guided: bool = False  # whether it may now
 
 
 NO_CONTEXT = PanelContext()
@@ -64,23 +76,26 @@ def panel_state(status: ControllerStatus | None, now: float, context: PanelConte
     """Returns what the control panel shows at time `now` [s]; only what is known to be on is shown as on."""
     if status is None:
         if context.master_lost:
-            return _absent(SCALING_DEFAULT, f"Waiting for the ROS master at {context.master}.", Tone.WARNING)
+            return _absent(None, f"Waiting for the ROS master at {context.master}.", Tone.WARNING)
         if context.unheard:
-            return _absent(SCALING_DEFAULT, UNHEARD, Tone.FAULT)
-        return _absent(SCALING_DEFAULT, "Waiting for the controller of the arm.", Tone.NORMAL)
+            return _absent(None, UNHEARD, Tone.FAULT)
+        return _absent(None, "Waiting for the controller of the arm.", Tone.NORMAL)
     if context.runs is False:
         line = f"The controller has exited. Its last state was {_sentence(status)}"
-        return _absent(status.scaling_factor, line, Tone.WARNING)
+        return _absent(status, line, Tone.WARNING)
     silence = now - status.received
     if silence > ABSENT_S:
         why = "it hangs" if context.runs else "it exited, hangs, or is out of reach"
         line = f"The controller has been silent for {silence:.0f} s: {why}."
-        return _absent(status.scaling_factor, line, Tone.FAULT)
+        return _absent(status, line, Tone.FAULT)
     line, tone = _sentence(status), Tone.FAULT if status.mode == Mode.STOPPED else Tone.NORMAL
     if context.master_lost:
         line = f"{line}\nThe ROS master at {context.master} does not answer; this controller still does."
         tone = Tone.WARNING if tone is Tone.NORMAL else tone
-    return PanelState(True, status.control_on, status.gripper_on, status.scaling_factor, line, tone)
+    return PanelState(
+        *(True, status.control_on, status.gripper_on, status.scaling_factor, line, tone, status.stops, status.paused),
+        *("guide" in status.abilities, status.guided),
+    )
 
 
 def factor_text(factor: float) -> str:
@@ -89,8 +104,9 @@ def factor_text(factor: float) -> str:
     return f"{whole}.{decimals:0<2}"
 
 
-def _absent(scaling_factor: float, line: str, tone: Tone) -> PanelState:
-    return PanelState(False, False, False, scaling_factor, line, tone)
+def _absent(status: ControllerStatus | None, line: str, tone: Tone) -> PanelState:
+    factor, stops = (SCALING_DEFAULT, False) if status is None else (status.scaling_factor, status.stops)
+    return PanelState(False, False, False, factor, line, tone, stops)
 
 
 def _sentence(status: ControllerStatus) -> str:

@@ -13,7 +13,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from common.poses import read_only
-from kst import Feedback, KstClient, KstError, MotionInterrupted, ReplyTimeout, RobotState, UnexpectedReply, WordRefused
+from kst import (
+    Feedback,
+    KstClient,
+    KstError,
+    MotionInterrupted,
+    ReplyTimeout,
+    RobotState,
+    SoftSettings,
+    UnexpectedReply,
+    WordRefused,
+)
 from kuka_control.loop.tracking import BELIEVED_RAD
 
 NO_READING = (ReplyTimeout, UnexpectedReply)  # errors of one missing or unusable answer on a link that may be sound
@@ -75,6 +85,11 @@ class Arm(ABC):
         return None
 
     @property
+    def server(self) -> str:
+        """What answers on the robot's controller, in words."""
+        return ""
+
+    @property
     def abilities(self) -> frozenset[str]:
         """What the application on the robot's controller can besides the toolbox's, such as "stop"."""
         return frozenset()
@@ -92,6 +107,11 @@ class Arm(ABC):
     def pause(self, on: bool) -> None:
         """Pauses the PTP motion or continues it, where the abilities name "stop". Raises kst.WordRefused: it is not
         the time for that."""
+        raise NotImplementedError
+
+    def soften(self, on: bool) -> None:
+        """Makes the next servo modes soft, or stiff again, where the abilities name "soft"; at rest only. Raises
+        kst.WordRefused."""
         raise NotImplementedError
 
     def carry(self, mass: float) -> None:
@@ -120,6 +140,11 @@ class Arm(ABC):
     def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
         """Starts a motion to q at the fraction `velocity` of the full joint speed, (0, 1]; returns once accepted.
         Where the robot can, the motion ends as an external joint torque leaves its range, shape (7, 2) [Nm]."""
+
+    def start_guiding(self) -> None:
+        """Lets a hand move the arm while the enabling switch is pressed, where the abilities name "guide"; its release
+        ends that, as `ptp_arrived` tells. Raises kst.WordRefused."""
+        raise NotImplementedError
 
     @abstractmethod
     def ptp_arrived(self) -> bool:
@@ -162,7 +187,8 @@ class KstArm(Arm):
         wrench: force and moment at the tool point, shape (3,) each, from joints and external torques, shape (7,) each.
         sent: gets each goal when it was sent, shape (7,) [rad], and the velocity of a PTP motion, else 0.
         guarded: whether PTP motions are to end at a torque, if the server knows such.
-        weighed: whether the server was told the tool's mass."""
+        weighed: whether the server was told the tool's mass.
+        soft: how the arm yields where it is to be soft."""
 
     SERVO_TURN = (
         *(Feedback.JOINTS, Feedback.EXTERNAL_TORQUES, Feedback.JOINTS, Feedback.MEASURED_TORQUES, Feedback.JOINTS),
@@ -176,9 +202,11 @@ class KstArm(Arm):
         sent: Callable[[np.ndarray, float], None] = lambda q, velocity: None,
         guarded: bool = False,
         weighed: bool = False,
+        soft: SoftSettings | None = None,
     ) -> None:
         self._client = client
         self._weighed, self._load, self._asked_load = weighed, 0.0, 0.0
+        self._soft, self._is_soft = soft, False
         self._whole = "state" in client.abilities
         self._sent = sent
         self._wrench = wrench
@@ -204,6 +232,10 @@ class KstArm(Arm):
         return self._client.round_trip
 
     @property
+    def server(self) -> str:
+        return self._client.server
+
+    @property
     def abilities(self) -> frozenset[str]:
         return self._client.abilities
 
@@ -216,6 +248,11 @@ class KstArm(Arm):
 
     def pause(self, on: bool) -> None:
         (self._client.pause_motion if on else self._client.resume_motion)()
+
+    def soften(self, on: bool) -> None:
+        if on or self._is_soft:  # said again each time: the robot checks the load then
+            self._client.soften(self._soft if on else None)
+        self._is_soft = on
 
     def carry(self, mass: float) -> None:
         if not self._weighed or mass == self._asked_load:
@@ -264,6 +301,10 @@ class KstArm(Arm):
         self._motion_to = q
         self._at_rest = False
         self.state = replace(self.state, T_base_tool=None)
+
+    def start_guiding(self) -> None:
+        self._client.start_guiding()
+        self._motion_to, self._at_rest = None, False
 
     def ptp_arrived(self) -> bool:
         try:

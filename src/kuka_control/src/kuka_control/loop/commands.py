@@ -58,7 +58,9 @@ class StartPtp:
 
 @dataclass(frozen=True)
 class StartServo:
-    """Start to follow servo goals."""
+    """Start to follow servo goals; `soft`: the arm yields to forces then."""
+
+    soft: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,11 @@ class Servo:
 @dataclass(frozen=True)
 class StopServo:
     """Leave servo mode."""
+
+
+@dataclass(frozen=True)
+class StartGuiding:
+    """Let a hand move the arm."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +101,13 @@ class End:
     fault: str | None = None
 
 
-Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, StopPtp, PausePtp, End]
+Command = Union[Wait, StartPtp, StartServo, Servo, StopServo, StartGuiding, StopPtp, PausePtp, End]
 
 COMMANDS: dict[Action, Command] = {
     Action.NONE: Wait(),
     Action.START_SERVO: StartServo(),
     Action.STOP_SERVO: StopServo(),
+    Action.GUIDE: StartGuiding(),
 }
 """The commands of the actions that need no data."""
 

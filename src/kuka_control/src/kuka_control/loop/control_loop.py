@@ -34,6 +34,7 @@ from kuka_control.loop.commands import (
     PausePtp,
     Servo,
     StartPtp,
+    StartServo,
     Step,
     StopPtp,
     Wait,
@@ -172,6 +173,7 @@ class ControlLoop(ABC, Generic[Settings]):
             State.AT_POSE: self._at_rest,
             State.AT_GOAL: self._at_goal,
             State.STOPPED: self._stopped,
+            State.GUIDING: self._guiding,
             State.ENDED: lambda _: End(None if self._active.trigger is Trigger.ARRIVED else self._active.because),
         }
         self._admission = StreamAdmission(settings.time_out, self.LEAST_RATE_HZ, self._away, self._report)
@@ -183,6 +185,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._doubt: tuple[np.ndarray, np.ndarray] | None = None  # where the arm stands whose joints are not believed
         self._target_stamp = 0.0
         self._scaling = MotionScaling()
+        self._soft = False  # whether the servo mode is, so that forces may move the arm off its goals
         self._position = np.zeros(3)  # of the newest desired tool frame that the arm was to go to, shape (3,) [m]
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
@@ -208,7 +211,9 @@ class ControlLoop(ABC, Generic[Settings]):
         if update.refused:
             self.counts["refused_frames"] += 1
         command = self._command(Cycle(observation, update.fresh, now))
-        if isinstance(command, Servo):
+        if isinstance(command, Servo) and self._soft:
+            self._joints.stand(None)
+        elif isinstance(command, Servo):
             self._joints.follow(command.q if command.reached is None else command.reached, now)
         if self._active.has(Trait.PROGRAM):
             self._admission.program_moves(now)
@@ -307,6 +312,9 @@ class ControlLoop(ABC, Generic[Settings]):
             command = StartPtp(read_only(q), velocity, ranges)
             self.counts["ptp_motions"] += 1
             self._admission.own.note(before.state, row.target, (before.trigger, fired.trigger), cycle.now)
+        elif row.action is Action.START_SERVO:
+            self._soft = cycle.switches.soft and Trait.STREAMS in row.target.traits  # its servo law shows only stiff
+            command = StartServo(self._soft)
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
         if row.counted and row.counted not in self.NOT_COUNTED:
@@ -328,7 +336,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._target = None
         if Trait.FOLLOWS in traits:
             self._admission.followed(cycle.now)
-        if Trait.MOVES in traits or latches:
+        if Trait.MOVES in traits or latches or row.target is State.GUIDING:
             self._joints.stand(None)
         reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
         if reason:
@@ -402,10 +410,7 @@ class ControlLoop(ABC, Generic[Settings]):
                 return Wait() if wrong is None else Fired(Trigger.DISBELIEVED, wrong)
             self._joints.stand(supervision.q)
             return self._arrived(cycle)
-        stop = self._stop_asked(cycle)
-        if stop is not None:
-            reason = f"The robot stops the motion to {supervision.name}: {stop.detail}."
-            self._active = replace(self._active, stop_count=cycle.switches.stop_count, stop=stop, reason=reason)
+        if self._stops(cycle, f"the motion to {supervision.name}"):
             return StopPtp()
         paused = self._paused(cycle, supervision)
         if paused is not None:
@@ -420,14 +425,31 @@ class ControlLoop(ABC, Generic[Settings]):
                 self.stopped_because = event.sentence
         return Wait()
 
+    def _guiding(self, cycle: Cycle) -> Outcome:
+        if cycle.observation.arrived:
+            self._joints.stand(cycle.observation.joints)
+            return Fired(Trigger.ARRIVED)
+        return StopPtp() if self._stops(cycle, "the hand guiding") else Wait()
+
+    def _stops(self, cycle: Cycle, what: str) -> bool:
+        """Returns whether the robot is to stop a motion now, and notes what is to follow."""
+        stop = self._stop_asked(cycle)
+        if stop is not None:
+            reason = f"The robot stops {what}: {stop.detail}."
+            self._active = replace(self._active, stop_count=cycle.switches.stop_count, stop=stop, reason=reason)
+        return stop is not None
+
     def _stop_asked(self, cycle: Cycle) -> Fired | None:
         """Returns what is to follow once the robot has stopped the motion; None: it is not asked to do so now."""
         if not cycle.observation.stops:
             return None
         if cycle.switches.stop_count != self._active.stop_count:
             return Fired(Trigger.STOPPED, cycle.switches.stop_because)
-        cancelled = self._active.has(Trait.PROGRAM) and self._program.cancelled and self._active.stop is None
-        return Fired(Trigger.CANCELLED, "the program cancelled it") if cancelled else None
+        if self._active.stop is None and self._active.has(Trait.PROGRAM) and self._program.cancelled:
+            return Fired(Trigger.CANCELLED, "the program cancelled it")
+        if self._active.stop is None and self._active.state is State.GUIDING and self._exits(cycle):
+            return Fired(Trigger.CANCELLED, "the controller is to exit")
+        return None
 
     def _paused(self, cycle: Cycle, supervision: PtpSupervision) -> Command | None:
         """Pauses and continues the PTP motion as the operator asks for it, until the robot has done so."""
@@ -666,11 +688,11 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             return Fired(Trigger.CONFLICT, self._admission.rejection)
         joints = cycle.observation.joints
         if self._active.data is None:
-            lts = self._law is not None and self._law.lts
+            lts = self._law is not None and self._law.lts and not self._soft
             stream = GoalStream(self._settings.goals, self._limits, lts, joints, cycle.now)
             self._active = replace(self._active, data=stream)
         goals: GoalStream = self._active.data
-        lag = goals.lag(joints, cycle.now)
+        lag = self._lag(goals, cycle)
         if lag is not None:
             return Fired(Trigger.LAG, lag)
         stamp = None
@@ -697,14 +719,14 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             return Fired(Trigger.CANCELLED)
         joints = cycle.observation.joints
         if self._active.data is None:
-            lts = self._law is not None and self._law.lts
+            lts = self._law is not None and self._law.lts and not self._soft
             stream = LineStream(self._settings.goals, self._limits, lts, joints, cycle.now, self._program.line)
             self._active = replace(self._active, data=stream)
         goals: LineStream = self._active.data
-        lag = goals.lag(joints, cycle.now)
+        lag = self._lag(goals, cycle)
         if lag is not None:
             return Fired(Trigger.LAG, lag)
-        if goals.arrived and float(np.max(np.abs(joints - goals.q_goal))) <= SETTLED_RAD:
+        if goals.arrived and (self._soft or float(np.max(np.abs(joints - goals.q_goal))) <= SETTLED_RAD):
             return Fired(Trigger.ARRIVED)
         blocked = goals.blocked(cycle.now)
         if blocked is not None:
@@ -713,6 +735,10 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             return self._sent(goals.goal(joints, cycle.now))
         except GuardError as error:
             return Fired(Trigger.GUARD_FAILED, str(error))
+
+    def _lag(self, goals: ServoStream, cycle: Cycle) -> str | None:
+        """Returns what is wrong with an arm that does not follow; of a soft one the robot says when it has stopped."""
+        return None if self._soft else goals.lag(cycle.observation.joints, cycle.now)
 
     def _sent(self, goal: LimitedGoal, stamp: float | None = None) -> Servo:
         if goal.limited_by is not None:
@@ -725,7 +751,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
     def _braking(self, cycle: Cycle) -> Outcome:
         goals: ServoStream | None = self._active.data
         if goals is not None and self._active.state is State.LINE_BRAKING:
-            lag = goals.lag(cycle.observation.joints, cycle.now)
+            lag = self._lag(goals, cycle)
             if lag is not None:
                 return Fired(Trigger.LAG, lag)
         goal = None if goals is None else goals.brake(cycle.observation.joints, cycle.now)

@@ -32,6 +32,7 @@ from kuka_control.loop.commands import (
     Observation,
     PausePtp,
     Servo,
+    StartGuiding,
     StartPtp,
     StartServo,
     Step,
@@ -268,7 +269,7 @@ class Controller:
     def _miss(self, step: Step, error: KstError, now: float) -> None:
         """Counts a missing or unusable answer; raises its error again if the link is given up."""
         self.missed += 1
-        if isinstance(step.command, (StartPtp, StartServo)):
+        if isinstance(step.command, (StartPtp, StartServo, StartGuiding)):
             if error.pending:
                 self.in_servo = isinstance(step.command, StartServo)
                 raise error
@@ -315,8 +316,19 @@ class Controller:
             self._arm.start_ptp(command.q, command.velocity, command.torques)
             self.moving = True
         elif isinstance(command, StartServo):
+            if "soft" in self._arm.abilities:
+                try:
+                    self._arm.soften(command.soft)
+                except WordRefused as error:
+                    raise MotionRefused(str(error)) from error
             self._arm.start_servo()
             self.in_servo = True
+        elif isinstance(command, StartGuiding):
+            try:
+                self._arm.start_guiding()
+            except WordRefused as error:
+                raise MotionRefused(str(error)) from error
+            self.moving = True
         elif isinstance(command, StopServo):
             self._arm.stop_servo()
             self.in_servo = False

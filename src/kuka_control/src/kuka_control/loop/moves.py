@@ -41,6 +41,7 @@ class ProgramMotion:
     velocity: float  # fraction of the full joint speed; of a line [m/s]
     line: LinePlan | None = None
     cancelled: bool = False
+    guided: bool = False  # a hand moves the arm, and it has no goal
 
 
 class MoveState(Enum):

@@ -62,7 +62,7 @@ class ProgramMoves:
         self.motion = move
         self.progress = MoveProgress(move.number, MoveState.RUNNING)
         self._q_begin = joints
-        return Trigger.MOVE if move.line is None else Trigger.LINE
+        return Trigger.GUIDE if move.guided else Trigger.MOVE if move.line is None else Trigger.LINE
 
     def refuse(self, sentence: str) -> None:
         """A body is in the way of the motion that was to begin."""
@@ -73,6 +73,8 @@ class ProgramMoves:
         """Notes how far the running motion is; `of_line`: the fraction of its line that is done."""
         assert self.progress is not None, "a motion runs"
         move = self.running
+        if move.guided:
+            return
         if move.line is not None:
             fraction = of_line
             left = (1.0 - fraction) * move.line.length

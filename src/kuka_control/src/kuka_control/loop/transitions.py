@@ -52,6 +52,7 @@ class State(Enum):
     TO_GOAL = Mode.MOVING, _MOVES, _IS.MOVES, _IS.PROGRAM, _IS.FORGETS
     LINE = Mode.MOVING, "{because} The tool moves along a straight line.", _IS.STREAMS, _IS.PROGRAM, _IS.FORGETS
     LINE_BRAKING = Mode.MOVING, "{because} The arm brakes.", _IS.STREAMS, _IS.BRAKES, _IS.PROGRAM
+    GUIDING = Mode.MOVING, "A hand may move the arm while it holds the enabling switch.", _IS.PROGRAM, _IS.FORGETS
     AT_GOAL = Mode.HOLDING, "{because} The arm stays until the next motion, a hand, or control off.", _IS.RESTS
     STOPPED = Mode.STOPPED, _STOPPED, _IS.FORGETS, _IS.LATCHES
     ZERO = Mode.ZERO, _MOVES, _IS.MOVES, _IS.FORGETS
@@ -97,6 +98,7 @@ class Trigger(Enum):
     AT_REST_TO_STOP = "the goals are at rest, and the arm is to stay"
     MOVE = "a program asks for a PTP motion"
     LINE = "a program asks for a straight line"
+    GUIDE = "a program asks for hand guiding"
     CANCELLED = "the program cancels"
     NO_PROGRESS = f"no progress for {NO_PROGRESS_S:g} s"
 
@@ -106,6 +108,7 @@ class Action(Enum):
     PTP = "PTP motion"
     START_SERVO = "start servo mode"
     STOP_SERVO = "stop servo mode"
+    GUIDE = "start hand guiding"
     END = "end"
     DECIDE = "what the next state decides, in the same cycle"
 
@@ -158,6 +161,7 @@ _PROGRAM = "A program moves the arm."
 _DISBELIEVED = "The measured joints are not believed: {detail}."
 _CONTACT = "The arm touched something on its way to {name}: {detail}."
 _STOPPED_MOTION = "The robot stopped the motion to {name}: {detail}."
+_STOPPED_ARM = "The robot stopped the arm: {detail}."
 _REFUSED = "The robot's controller refused the motion to {name}: {detail}."
 
 TRANSITIONS = (
@@ -190,8 +194,9 @@ TRANSITIONS = (
     # Motions for programs. The toolbox cannot stop a PTP motion; a straight line is a stream, which can stop.
     Transition((_S.HOME, _S.AT_GOAL), _T.MOVE, _S.TO_GOAL, _A.PTP, _PROGRAM, "moves", if_blocked=_B.REFUSES),
     Transition((_S.HOME, _S.AT_GOAL), _T.LINE, _S.LINE, _A.START_SERVO, _PROGRAM, "moves", if_blocked=_B.REFUSES),
-    Transition((_S.TO_GOAL,), _T.ARRIVED, _S.AT_GOAL, _A.NONE, "The motion has ended."),
-    Transition((_S.TO_GOAL,), _T.CANCELLED, _S.AT_GOAL, _A.NONE, "The program cancelled the motion."),
+    Transition((_S.HOME, _S.AT_GOAL), _T.GUIDE, _S.GUIDING, _A.GUIDE, _PROGRAM, "moves"),
+    Transition((_S.TO_GOAL, _S.GUIDING), _T.ARRIVED, _S.AT_GOAL, _A.NONE, "The motion has ended."),
+    Transition((_S.TO_GOAL, _S.GUIDING), _T.CANCELLED, _S.AT_GOAL, _A.NONE, "The program cancelled the motion."),
     Transition((_S.LINE,), _T.ARRIVED, _S.LINE_BRAKING, _A.DECIDE, "The line has ended."),
     Transition((_S.LINE,), _T.CANCELLED, _S.LINE_BRAKING, _A.DECIDE, "The program cancelled the line."),
     Transition((_S.LINE,), _T.NO_PROGRESS, _S.LINE_BRAKING, _A.DECIDE, "The line does not continue: {detail}."),
@@ -215,8 +220,9 @@ TRANSITIONS = (
     Transition((*_TO_REST, *_RESTS), _T.DISBELIEVED, _S.STOPPED, _A.NONE, _DISBELIEVED),
     Transition(_TO_REST, _T.ARRIVED_AFTER_HOLD, _S.STOPPED, _A.NONE, "Something held the arm on its way to {name}."),
     Transition(_TO_REST, _T.REFUSED, _S.STOPPED, _A.NONE, _REFUSED),
+    Transition((_S.GUIDING,), _T.REFUSED, _S.STOPPED, _A.NONE, "The robot refused the hand guiding: {detail}."),
     Transition(_TO_REST, _T.STOPPED, _S.STOPPED, _A.NONE, _STOPPED_MOTION),
-    Transition((_S.IDENTIFYING, *_STREAMS), _T.STOPPED, _S.STOPPED, _A.NONE, "The robot stopped the arm: {detail}."),
+    Transition((_S.IDENTIFYING, _S.GUIDING, *_STREAMS), _T.STOPPED, _S.STOPPED, _A.NONE, _STOPPED_ARM),
     Transition(_TO_REST, _T.CONTACT, _S.STOPPED, _A.NONE, _CONTACT),
     Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
     Transition((_S.STARTING, _S.STOPPED, *_BLOCKED), _T.BLOCKED, _S.STOPPED, _A.NONE, "{detail}"),

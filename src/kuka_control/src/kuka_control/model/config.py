@@ -163,6 +163,21 @@ class RealTimeConfig(ControllerConfig):
     joint_speed: float = number(above=0.0, high=1.0, doc="limit of the stream, fraction of the data sheet's speeds")
     tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of all points of the arm; stopped at 0.8")
     joint_acceleration: float = number("rad/s^2", low=1.0, high=16.0, doc="limit of the stream, slowest joint")
+    compliance: str = choice(
+        *("stiff", "soft"),
+        absent="stiff",
+        doc="soft, only with leap_rig and tool_mass: in servo mode the tool yields to forces; kuka/soft changes it",
+    )
+    soft_stiffness: float = number("N/m", low=50.0, high=5000.0, absent=500.0, doc="of a soft tool along its axes")
+    soft_turning_stiffness: float = number(
+        "Nm/rad", low=5.0, high=300.0, absent=100.0, doc="of a soft tool about its axes"
+    )
+    soft_damping: float = number(low=0.1, high=1.0, absent=0.7, doc="of a soft tool, fraction of the critical one")
+    soft_force: float = number("N", low=1.0, high=200.0, absent=40.0, doc="servo mode ends above it along an axis")
+    soft_moment: float = number("Nm", low=0.1, high=50.0, absent=20.0, doc="servo mode ends above it about an axis")
+    soft_path: float = number(
+        "m", low=0.001, high=0.5, absent=0.2, doc="servo mode ends where the tool is farther from its path"
+    )
     joint_jerk: float = number("rad/s^3", low=20.0, high=2000.0, doc="limit of the stream, slowest joint")
 
     @staticmethod
@@ -172,6 +187,10 @@ class RealTimeConfig(ControllerConfig):
             faults.append(
                 "collision_guard is true, but guards no stream with shaping none; use shaping ruckig, or switch it off."
             )
+        if read.get("compliance") == "soft" and read.get("robot_server") == "toolbox":
+            faults.append("compliance is soft, but the toolbox knows stiff only; set robot_server to leap_rig.")
+        elif read.get("compliance") == "soft" and read.get("tool_mass") == 0.0:
+            faults.append("compliance is soft, but tool_mass is 0: a soft arm would sink; say what is on the flange.")
         return faults
 
 

@@ -15,6 +15,9 @@ IN_DOUBT = (
 )
 
 
+AT_REST = (Mode.HOME, Mode.HOLDING, Mode.STOPPED)  # modes in which no motion and no servo mode runs
+
+
 def check_scaling_factor(factor: float) -> float:
     """Returns the factor; ValueError: it is not finite or outside `SCALING_MIN` to `SCALING_MAX`."""
     if not SCALING_MIN <= factor <= SCALING_MAX:
@@ -43,6 +46,7 @@ class SwitchState:
     stop_count: int = 0  # how often a motion that runs was asked to stop
     stop_because: str = ""  # the last time, a part of a sentence
     paused: bool = False  # whether the PTP motion that runs is to pause
+    soft: bool = False  # whether servo modes begin soft
 
 
 class SwitchReply(NamedTuple):
@@ -53,16 +57,18 @@ class SwitchReply(NamedTuple):
 
 
 class Switches:
-    """The switches of a controller; `now` is the position of all."""
+    """The switches of a controller; `now` is the position of all. `soft`: whether servo modes begin soft at first;
+    `stiff_because`: why they cannot, a part of a sentence."""
 
-    def __init__(self) -> None:
-        self._now = SwitchState()
+    def __init__(self, soft: bool = False, stiff_because: str | None = None) -> None:
+        self._now = SwitchState(soft=soft)
+        self._stiff_because = stiff_because
         self._mode = Mode.STARTING
         self._stopped_because: str | None = None
         self._when_enabled: str | None = None
         self._exit_in_place: ExitInPlace | None = None
         self._held_by: str | None = None
-        self._stops = False
+        self._stops = self._pauses = False
 
     @property
     def now(self) -> SwitchState:
@@ -76,11 +82,12 @@ class Switches:
         when_enabled: str | None = None,
         exit_in_place: ExitInPlace | None = None,
         stops: bool = False,
+        guided: bool = False,
     ) -> None:
         """Takes the state of the controller, which the replies quote; `when_enabled`: what happens to the present
         desired tool frame once control is switched on; `exit_in_place`: why an exit leaves the arm where it is;
-        `stops`: a PTP motion runs, which the robot can stop."""
-        self._stops = stops
+        `stops`: a PTP motion runs, which the robot can stop; `guided`: instead a hand moves the arm."""
+        self._stops, self._pauses = stops, stops and not guided
         if self.now.paused and not stops:
             self._now = replace(self.now, paused=False)
         self._mode = mode
@@ -131,10 +138,20 @@ class Switches:
 
     def set_paused(self, on: bool) -> SwitchReply:
         """Pauses the PTP motion that runs, or continues it."""
-        if on and not self._stops:
+        if on and not self._pauses:
             return SwitchReply(False, "Nothing is paused: no motion runs that this robot's application can pause.")
         self._now = replace(self.now, paused=on)
         return SwitchReply(True, "The motion is paused." if on else "The motion continues, if one was paused.")
+
+    def set_soft(self, on: bool) -> SwitchReply:
+        """Lets the next servo modes begin soft, or stiff."""
+        stays = f"The arm stays {'soft' if self.now.soft else 'stiff'}"
+        if on and self._stiff_because is not None:
+            return SwitchReply(False, f"{stays}: {self._stiff_because}.")
+        if self._mode not in AT_REST:
+            return SwitchReply(False, f"{stays}: it changes at rest only, but the mode is {self._mode.value}.")
+        self._now = replace(self.now, soft=on)
+        return SwitchReply(True, f"The arm is {'soft' if on else 'stiff'} whenever it follows from now on.")
 
     def set_gripper(self, on: bool) -> SwitchReply:
         if on and self.now.exit_requested:

@@ -27,9 +27,14 @@ POLL_S = 0.05
 CALL_TIMEOUT_S = 3.0
 SETTLE_S = 1.0  # how long the slider waits for a status with the scaling factor that was accepted
 CONTROL, GRIPPER = "kuka/kuka_control", "kuka/gripper_control"
-SCALING, EXIT = "kuka/scaling_factor", "kuka/exit_app"
-KINDS = {CONTROL: setKukaControl, GRIPPER: setGripperControl, SCALING: setScalingFactor, EXIT: exitApp,
-         emergency.SERVICE: exitAppEmergency}  # fmt: skip
+SCALING, EXIT, PAUSE, GUIDE = "kuka/scaling_factor", "kuka/exit_app", "kuka/pause", "kuka/guide"
+KINDS = {
+    **dict.fromkeys((CONTROL, PAUSE, GUIDE), setKukaControl),
+    GRIPPER: setGripperControl,
+    SCALING: setScalingFactor,
+    EXIT: exitApp,
+    emergency.SERVICE: exitAppEmergency,
+}
 
 
 class PanelAnswer(NamedTuple):
@@ -116,6 +121,12 @@ class ControllerLink:
     def ask_gripper(self, on: bool) -> None:
         self._ask(GRIPPER, on)
 
+    def ask_pause(self, on: bool) -> None:
+        self._ask(PAUSE, on)
+
+    def ask_guide(self, on: bool) -> None:
+        self._ask(GUIDE, on)
+
     def ask_exit(self) -> None:
         self._ask(EXIT)
 
@@ -154,7 +165,8 @@ class ControllerLink:
     def _stop(self) -> None:
         status = self._status
         ended, sentence = emergency.stop(
-            self._services[emergency.SERVICE], self._process, status.host if status else ""
+            *(self._services[emergency.SERVICE], self._process, status.host if status else ""),
+            stops=status is not None and status.stops,
         )
         self._running.discard(emergency.SERVICE)
         self._answers.put((emergency.SERVICE, ended, sentence))
@@ -244,7 +256,7 @@ class ControllerLink:
         m = message
         self._status = ControllerStatus(
             *(clock.monotonic(), m.control_on, m.gripper_on, m.scaling_factor, m.mode, m.reason),
-            *(tuple(m.limited_by), m.host, m.pid),
+            *(tuple(m.limited_by), m.host, m.pid, tuple(m.robot_abilities), m.paused, m.guided),
         )
         if previous is None or (previous.host, previous.pid) != (message.host, message.pid):
             self._wake.set()  # another controller has other addresses

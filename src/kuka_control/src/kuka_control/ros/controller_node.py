@@ -27,7 +27,7 @@ from common.ros.service_calls import ask_master
 from common.ros.simulated_devices import SimulatedDevices
 from common.rotations import quaternion_from_rotation
 from common.simulated import WITHOUT_HARDWARE
-from kst import ApplicationSettings, KstClient, KstError, NoServer, ReplyTimeout
+from kst import ApplicationSettings, KstClient, KstError, NoServer, ReplyTimeout, SoftSettings
 from kuka_control.loop import assembly
 from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
@@ -36,7 +36,7 @@ from kuka_control.loop.controller import Controller, ReconnectSupervisor
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.model.joint_configurations import named_configurations
 from kuka_control.model.rig import Rig
-from kuka_control.model.switches import Switches
+from kuka_control.model.switches import Switches, SwitchReply
 from kuka_control.model.target import MotionScaling
 from kuka_control.model.tool_load import wrench_at_tool
 from kuka_control.numbers import AGAIN_TIMEOUT_S, BRAKING_S, PROBE_S, TIMEOUT_S
@@ -135,10 +135,19 @@ class RobotLink:
         )
         try:
             guarded = config.ptp_contact_torque > 0.0
-            return KstArm(client, partial(wrench_at_tool, rig.kinematics), self.goals.sent, guarded, weighed)
+            wrench = partial(wrench_at_tool, rig.kinematics)
+            return KstArm(client, wrench, self.goals.sent, guarded, weighed, soft_settings(config))
         except KstError:
             client.close()
             raise
+
+
+def soft_settings(config: ControllerConfig) -> SoftSettings | None:
+    """Returns how a soft arm yields; None with PTP motions alone."""
+    if not isinstance(config, RealTimeConfig):
+        return None
+    springs = config.soft_stiffness, config.soft_turning_stiffness, config.soft_damping
+    return SoftSettings(*springs, config.soft_force, config.soft_moment, config.soft_path)
 
 
 def ends_soon() -> bool:
@@ -229,7 +238,10 @@ class _Node:
         self._make_loop = make_loop
         self._loop: ControlLoop | ReconnectSupervisor = make_loop()
         self._controller = Controller(link.arm, self._loop)
-        self._switches = Switches()
+        stops = config.robot_server == "leap_rig"
+        softens = stops and isinstance(config, RealTimeConfig)
+        unknown = None if config.tool_mass > 0.0 else "tool_mass is 0, and the arm would sink"
+        self._switches = Switches(getattr(config, "compliance", "stiff") == "soft", unknown)
         self._rest_period = min(1.0 / config.rate_joints, LONGEST_PERIOD_S)
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
         self._state = StatePublisher(rig, config, link.goals, frames)
@@ -241,9 +253,10 @@ class _Node:
         self._step: Step | None = None
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
         planner = assembly.move_planner(config, rig, named_configurations(named, rig.model))
-        stops = config.robot_server == "leap_rig"
-        self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames, stops)
-        self._services = Services(self._switches, lambda: self._link.stop(), stops)
+        guide = {"unguided": unknown} if stops else {}
+        self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames, stops, **guide)
+        guides = self._guide if stops else None
+        self._services = Services(self._switches, lambda: self._link.stop(), stops, softens, guides)
         self._enabling = EnablingWatch(self._services.stop_motion) if stops else None
         master.watch.lost.append(lambda _: self._services.disengage())
         offer_tool_check(rig, self._for_tool_check, self._guard_view.collision, frames)
@@ -354,6 +367,11 @@ class _Node:
         self._say(supervisor.connected())
         self._services.release()
 
+    def _guide(self, on: bool) -> SwitchReply:
+        if on and not self._switches.now.control_on:
+            return SwitchReply(False, "Hand guiding is refused: control is off.")
+        return self._moves.guide(on)
+
     def _for_guard_view(self) -> tuple[np.ndarray | None, float]:
         return self._link.arm.state.joints, self._loop.guard_scale if self._controller.in_servo else 1.0
 
@@ -367,12 +385,13 @@ class _Node:
         self._step = step
         self._moves.show(step, self._link.arm.measured_joints)
         arm, controller = self._link.arm, self._controller
-        loop, stops = self._loop, controller.moving and "stop" in arm.abilities
-        self._switches.report(step.mode, loop.stopped_because, loop.when_enabled, loop.exit_in_place, stops)
+        loop, guided = self._loop, self._moves.guided
+        stops = controller.moving and "stop" in arm.abilities
+        self._switches.report(step.mode, loop.stopped_because, loop.when_enabled, loop.exit_in_place, stops, guided)
         self._state.show(
             Snapshot(
                 *(arm.state, step, self._switches.now, controller.moving, controller.in_servo),
-                *(arm.round_trip, arm.reckoned),
+                *(arm.round_trip, arm.reckoned, arm.server, arm.abilities, guided),
             )
         )
 
@@ -387,7 +406,6 @@ class _Node:
         controller = self._controller
         answers = {"missed_answers": controller.missed, "holds": controller.holds}
         counts = {**self._loop.counts, **answers, "estimated_in_servo": estimated}
-        counts["robot_abilities"] = " ".join(sorted(self._link.arm.abilities))
         counts["workspace"] = "lifted" if self._lifted else "kept"
         counts["clock_offset"] = f"{self._desired.offset:.3f}"
         if step is None:

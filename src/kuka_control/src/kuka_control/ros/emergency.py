@@ -72,13 +72,17 @@ def _is_controller(pid: int) -> bool:
 
 LEFT_BEHIND = "the robot holds its last goal, a motion to a point runs to its end"
 """What becomes of the arm: the toolbox server has no watchdog, and no command that stops such a motion."""
+WITHOUT_CLIENT = "the robot stops, as its client is gone"
+"""What becomes of it with the robot application."""
 TOLD_TO_STOP = "the robot was told to stop"
 
 
-def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str) -> tuple[bool, str]:
+def stop(
+    call_exit: ServiceClient, process: ControllerProcess | None, host: str, stops: bool = False
+) -> tuple[bool, str]:
     """Stops the controller; returns within about half a second whether it is known to have exited, and a sentence.
     `process` is the controller's if it runs on this machine and was verified; `host` is empty if it was never heard
-    of."""
+    of; `stops`: the robot's application can stop a motion."""
     deadline = clock.monotonic() + PATIENCE_S
     answer, failure = "", None
     try:
@@ -86,9 +90,9 @@ def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str)
     except ServiceFailed as error:
         failure = error
     if process is not None:
-        return _end(
-            process, deadline if failure is None else 0.0, TOLD_TO_STOP if TOLD_TO_STOP in answer else LEFT_BEHIND
-        )
+        left_behind = WITHOUT_CLIENT if stops else LEFT_BEHIND
+        told = TOLD_TO_STOP if TOLD_TO_STOP in answer else left_behind
+        return _end(process, deadline if failure is None else 0.0, told, left_behind)
     if failure is None:
         return True, f"Emergency Stop: {answer}"
     if not host and isinstance(failure, ServiceAbsent):
@@ -97,15 +101,15 @@ def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str)
     return False, f"Emergency Stop: the controller{where} did not confirm it. {SMARTPAD}"
 
 
-def _end(process: ControllerProcess, deadline: float, left_behind: str) -> tuple[bool, str]:
+def _end(process: ControllerProcess, deadline: float, told: str, left_behind: str) -> tuple[bool, str]:
     if _ended(process, deadline):
-        return True, f"Emergency Stop: the controller has exited; {left_behind}."
+        return True, f"Emergency Stop: the controller has exited; {told}."
     try:
         kill(process)
     except PermissionError:
         return False, f"Emergency Stop: process {process.pid} belongs to another user. {SMARTPAD}"
     if _ended(process, clock.monotonic() + KILL_S):
-        return True, f"Emergency Stop: the controller hung and its process was ended; {LEFT_BEHIND}."
+        return True, f"Emergency Stop: the controller hung and its process was ended; {left_behind}."
     return False, f"Emergency Stop: process {process.pid} cannot be ended. {SMARTPAD}"
 
 

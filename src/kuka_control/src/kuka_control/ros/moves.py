@@ -15,6 +15,7 @@ from common.ros.conversions import pose_in
 from kuka_control.limits.line_plan import MoveRefused
 from kuka_control.loop.commands import Step
 from kuka_control.loop.moves import READY, MoveGoal, MovePlanner, MoveState, ProgramMotion, wrong_time
+from kuka_control.model.switches import SwitchReply
 from kuka_msgs.msg import MoveAction, MoveFeedback, MoveResult
 from kuka_msgs.msg import MoveGoal as MoveGoalMessage
 
@@ -25,7 +26,8 @@ START_S = 1.0  # the control loop has this long to start or refuse a motion [s]
 class MoveServer:
     """Offers kuka/move: one motion at a time; another goal meanwhile is rejected. `read` returns the last step of the
     control loop, None before the first, and the measured joints, shape (7,); `move` is the motion that the control loop
-    is to make, None while nothing is asked for; `stops`: the robot can stop a point-to-point motion."""
+    is to make, None while nothing is asked for; `stops`: the robot can stop a point-to-point motion;
+    `unguided`: why no hand can guide the arm, a part of a sentence."""
 
     def __init__(
         self,
@@ -33,10 +35,11 @@ class MoveServer:
         read: Callable[[], tuple[Step | None, np.ndarray]],
         frames: ArmFrames = ONE_ARM,
         stops: bool = False,
+        unguided: str | None = "robot_server is toolbox; only leap_rig can be guided by hand",
     ) -> None:
         self.move: ProgramMotion | None = None
         self._base = frames(BASE)
-        self._stops = stops
+        self._stops, self._unguided = stops, unguided
         self._planner = planner
         self._read = read
         self._lock = clock.Lock()
@@ -49,13 +52,13 @@ class MoveServer:
     def show(self, step: Step, joints: np.ndarray) -> None:
         """Reports what has become of the motion; called by the control loop after each cycle."""
         move, handle, progress, now = self.move, self._handle, step.move, clock.monotonic()
-        if move is None or handle is None:
+        if move is None:
             return
         if progress is None or progress.number != move.number:
             if now - self._asked > START_S:
                 self.abort(f"The controller did not start the motion. {step.reason}")
         elif progress.state is MoveState.RUNNING:
-            if now >= self._due:
+            if now >= self._due and handle is not None:
                 self._due = now + FEEDBACK_S
                 handle.publish_feedback(MoveFeedback(progress.fraction, progress.left, joints.tolist()))
         else:
@@ -63,30 +66,25 @@ class MoveServer:
 
     def abort(self, sentence: str) -> None:
         """Ends what was asked for, because the control loop has stopped."""
-        if self._handle is not None:
+        if self.move is not None:
             self._end(MoveState.ABORTED, sentence, self._read()[1])
 
     def _end(self, state: MoveState, sentence: str, joints: np.ndarray) -> None:
         with self._lock:
             handle, self._handle, self.move = self._handle, None, None
-        if handle is None:
-            return
         result = MoveResult(state is MoveState.DONE, sentence, joints.tolist())
-        ends = {MoveState.DONE: handle.set_succeeded, MoveState.CANCELLED: handle.set_canceled}
-        ends.get(state, handle.set_aborted)(result, sentence)
+        if handle is not None:
+            ends = {MoveState.DONE: handle.set_succeeded, MoveState.CANCELLED: handle.set_canceled}
+            ends.get(state, handle.set_aborted)(result, sentence)
         (rospy.loginfo if result.success else rospy.logwarn)("kuka/move: %s", sentence)
 
     def _goal(self, handle: actionlib.ServerGoalHandle) -> None:
-        with self._lock:
-            busy = self._handle is not None
-            self._number += 1
-        step, joints = self._read()
+        message, joints = handle.get_goal(), self._read()[1]
         try:
-            if busy:
-                raise MoveRefused("The motion before has not ended; cancel it or wait.")
-            if step is None or step.mode not in READY:
-                raise MoveRefused("The controller starts." if step is None else wrong_time(step.mode, step.reason))
-            move = self._planner.plan(self._number, _goal_of(handle.get_goal(), self._base), joints)
+            number, joints = self._begin()
+            guided = message.kind == MoveGoalMessage.GUIDED
+            goal = None if guided else _goal_of(message, self._base)
+            move = self._guided(number, joints) if goal is None else self._planner.plan(number, goal, joints)
         except Exception as error:  # also what nobody expects must end the goal: the program waits for it
             known = isinstance(error, MoveRefused)
             sentence = str(error) if known else f"The motion cannot be planned: {type(error).__name__}: {error}."
@@ -97,13 +95,53 @@ class MoveServer:
         with self._lock:
             self._asked, self._handle, self.move = clock.monotonic(), handle, move
 
+    def guide(self, on: bool) -> SwitchReply:
+        """Lets a hand guide the arm, or ends that."""
+        move = self.move
+        if not on:
+            with self._lock:
+                if move is not None and move.guided and move is self.move:
+                    self.move = replace(move, cancelled=True)
+            return SwitchReply(True, "No hand guides the arm any more.")
+        try:
+            move = self._guided(*self._begin())
+        except MoveRefused as error:
+            return SwitchReply(False, str(error))
+        with self._lock:
+            self._asked, self._handle, self.move = clock.monotonic(), None, move
+        return SwitchReply(True, "Hold the enabling switch and move the arm; its release ends that.")
+
+    @property
+    def guided(self) -> bool:
+        """Whether a hand may guide the arm, or is to."""
+        move = self.move
+        return move is not None and move.guided
+
+    def _begin(self) -> tuple[int, np.ndarray]:
+        """Returns the number of the next motion, and the joints of the arm; raises MoveRefused."""
+        with self._lock:
+            busy = self.move is not None
+            self._number += 1
+            number = self._number
+        step, joints = self._read()
+        if busy:
+            raise MoveRefused("The motion before has not ended; cancel it or wait.")
+        if step is None or step.mode not in READY:
+            raise MoveRefused("The controller starts." if step is None else wrong_time(step.mode, step.reason))
+        return number, joints
+
+    def _guided(self, number: int, joints: np.ndarray) -> ProgramMotion:
+        if self._unguided is not None:
+            raise MoveRefused(f"Hand guiding is refused: {self._unguided}.")
+        return ProgramMotion(number, "the place where the hand left it", joints, 0.0, guided=True)
+
     def _cancel(self, handle: actionlib.ServerGoalHandle) -> None:
         with self._lock:
             move = self.move
             if handle != self._handle or move is None:
                 return
             self.move = replace(move, cancelled=True)
-        if move.line is None and not self._stops:
+        if move.line is None and not (move.guided or self._stops):
             rospy.logwarn("kuka/move: a point-to-point motion cannot be stopped; the arm continues to %s.", move.name)
 
 

@@ -35,6 +35,8 @@ class PanelLink(QObject):
         self._panel = panel
         self.controller = ControllerLink(arm)
         panel.control_requested.connect(self.controller.ask_control)
+        panel.pause_requested.connect(self.controller.ask_pause)
+        panel.guide_requested.connect(self.controller.ask_guide)
         panel.gripper_requested.connect(self.controller.ask_gripper)
         panel.scaling_requested.connect(self.controller.ask_scaling)
         panel.exit_requested.connect(self.controller.ask_exit)

@@ -28,10 +28,16 @@ class Services:
     """Offers the services under kuka/ and turns requests into positions of the switches."""
 
     def __init__(
-        self, switches: Switches, stop: Callable[[], str | None] = lambda: None, pausable: bool = False
+        self,
+        switches: Switches,
+        stop: Callable[[], str | None] = lambda: None,
+        pausable: bool = False,
+        softens: bool = False,
+        guide: Callable[[bool], SwitchReply] | None = None,
     ) -> None:
         """`stop` stops the arm where the robot can do that, and returns what to say of it, a part of a sentence;
-        `pausable`: PTP motions can be paused."""
+        `pausable`: PTP motions can be paused; `softens`: servo modes can be soft;
+        `guide`: lets a hand guide the arm."""
         self._stop = stop
         self._lock = clock.Lock()
         self._switches, self._exits = switches, False
@@ -40,6 +46,10 @@ class Services:
         rospy.Service("kuka/kuka_control", setKukaControl, lambda r: self._ask(switches.set_control, r.data))
         if pausable:
             rospy.Service("kuka/pause", setKukaControl, lambda r: self._ask(switches.set_paused, r.data))
+        if softens:
+            rospy.Service("kuka/soft", setKukaControl, lambda r: self._ask(switches.set_soft, r.data))
+        if guide is not None:
+            rospy.Service("kuka/guide", setKukaControl, lambda r: self._ask(guide, r.data))
         rospy.Service("kuka/gripper_control", setGripperControl, lambda r: self._ask(switches.set_gripper, r.data))
         rospy.Service("kuka/set_payload", setPayload, lambda r: self._ask(switches.set_payload, r.data))
         rospy.Service("kuka/scaling_factor", setScalingFactor, lambda r: self._ask(switches.set_scale, r.data))

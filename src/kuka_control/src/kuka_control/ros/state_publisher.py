@@ -53,6 +53,9 @@ class Snapshot:
     moving_rt: bool
     round_trip: float | None
     reckoned: tuple[bool, float] = (False, 0.0)  # as Arm.reckoned
+    server: str = ""  # as Arm.server
+    abilities: frozenset[str] = frozenset()  # as Arm.abilities
+    guided: bool = False  # whether a hand may guide the arm
 
 
 class GoalPublisher:
@@ -235,6 +238,8 @@ class StatePublisher:
         status.mode, status.reason = step.mode.value, step.reason
         status.limited_by = [limit.value for limit in step.limited_by]
         status.round_trip = snapshot.round_trip or 0.0
+        status.robot_server, status.robot_abilities = snapshot.server, sorted(snapshot.abilities)
+        status.paused, status.guided, status.soft = switched.paused, snapshot.guided, switched.soft
         status.header.stamp = rospy.Time.now()
         self._status.publish(status)
 

@@ -42,6 +42,9 @@ class ArmView:
     reason: str
     limited_by: Sequence[str]
     round_trip: float  # [s]
+    robot_server: str = ""  # what answers on the robot's controller
+    robot_abilities: Sequence[str] = ()  # of that
+    soft: bool = False  # whether servo modes begin soft
 
 
 @dataclass(frozen=True)
@@ -143,10 +146,13 @@ class OperatorView:
 
     def _link(self, arm: ArmView) -> tuple[str, RowTone]:
         slow_link_s = 0.02  # round trips or a jitter above this are worth a warning
+        abilities = f" ({', '.join(arm.robot_abilities)})" if arm.robot_abilities else ""
+        server = f"{arm.robot_server}{abilities}{', soft' if arm.soft else ''}"
         if not self._round_trips:
-            return NOTHING, RowTone.NORMAL
+            return server or NOTHING, RowTone.NORMAL
         spread = jitter(self._round_trips)
         text = f"round trip {1e3 * self._round_trips[-1]:.1f} ms, jitter {1e3 * spread:.1f} ms"
+        text += f"; {server}" if server else ""
         return text, RowTone.WARNING if max(self._round_trips[-1], spread) > slow_link_s else RowTone.NORMAL
 
 

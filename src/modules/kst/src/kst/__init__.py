@@ -3,7 +3,7 @@ over `session` (pairs answers with commands), `transport` (socket), `codec` (wir
 
 from __future__ import annotations
 
-from kst.application import ApplicationSettings, RobotState
+from kst.application import ApplicationSettings, RobotState, SoftSettings
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback, ToolTransform
 from kst.errors import (
@@ -34,6 +34,6 @@ __all__ = [
     "LBR_IIWA_LIMITS", "ApplicationSettings", "BadJoints", "BadVelocity", "ConnectionLost", "Feedback",
     "ForeignServer", "JointLimits", "KstClient", "KstError", "KstMode", "KstTiming", "LinkCounts",
     "MotionInterrupted", "MotionRefused", "MotionStopped", "NoServer", "NotLeapRig", "PtpApproach", "PtpFailed",
-    "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout", "RobotState", "ServerBusy",
+    "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout", "RobotState", "ServerBusy", "SoftSettings",
     "ToolNotAttached", "ToolTransform", "UnexpectedReply", "WordRefused", "WrongMode", "read_joints", "run_ptp",
 ]  # fmt: skip

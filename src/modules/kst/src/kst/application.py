@@ -63,6 +63,18 @@ class ApplicationSettings:
             )
 
 
+@dataclass(frozen=True)
+class SoftSettings:
+    """How the tool yields in servo mode: springs along and about its axes, and limits at which servo mode ends."""
+
+    stiffness: float  # along the axes [N/m]
+    turning_stiffness: float  # about the axes [Nm/rad]
+    damping: float  # of the springs, 1: critical
+    force: float  # greatest along an axis [N]
+    moment: float  # greatest about an axis [Nm]
+    path: float  # farthest from the commanded path along an axis [m]
+
+
 class Hello(NamedTuple):
     """How the robot application answers a hello."""
 
@@ -121,6 +133,14 @@ def weigh_tool(settings: ApplicationSettings, tool: ToolTransform) -> KstCommand
 def weigh_load(mass: float, centre: Iterable[float]) -> KstCommand:
     """Returns the command that adds a held load: its mass [kg], and its centre in the flange frame [m]."""
     return _word("lrLoad", mass, *(1000.0 * x for x in centre), thread=ServerThread.MAIN)
+
+
+def soften(soft: SoftSettings) -> KstCommand:
+    """Returns the command that makes the next servo modes soft; what the tool's axes leave free stays loosely."""
+    turned_rad, null_space = 1.0, 20.0  # farthest about an axis; stiffness of the elbow's swivel [Nm/rad]
+    springs = (*(soft.stiffness,) * 3, *(soft.turning_stiffness,) * 3, soft.damping, null_space)
+    limits = soft.force, soft.moment, 1000.0 * soft.path, turned_rad
+    return _word("lrSoftTool", *springs, *limits, thread=ServerThread.MAIN)
 
 
 def numbers_of(reply: KstReply) -> tuple[float, ...] | None:

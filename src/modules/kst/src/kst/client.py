@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kst import application, codec
-from kst.application import ApplicationSettings, RobotState, StopChannel
+from kst.application import ApplicationSettings, RobotState, SoftSettings, StopChannel
 from kst.codec import Feedback, KstCommand, KstReply, ReplyKind, ToolTransform
 from kst.errors import (
     ConnectionLost,
@@ -237,6 +237,13 @@ class KstClient:
         self._load = float(mass), centre
         self._check_mass(command, self._accept(command))
 
+    def soften(self, soft: SoftSettings | None) -> None:
+        """Makes the next servo modes soft, None: stiff again; at rest only. Raises WordRefused: also while the robot
+        does not know the tool's mass, or its load check fails."""
+        self._require_application("be soft")
+        self._require_idle("a change of the compliance")
+        self._accept(application.STIFF if soft is None else application.soften(soft))
+
     def events(self) -> list[str]:
         """Returns what the robot application has said unasked since the last call, parts of sentences."""
         self._hear()
@@ -372,6 +379,21 @@ class KstClient:
         finally:
             session.expect_final(False)
         return True
+
+    def start_guiding(self) -> None:
+        """Lets a hand move the arm while the enabling switch is pressed; its release ends that, as `ptp_arrived` tells.
+        At rest only."""
+        self._require_application("be guided by hand")
+        self._require_idle("hand guiding")
+        self._goal = np.full(7, np.inf)  # it has none
+        self._still_since = self._at_goal_since = None
+        self._session.expect_final(True)
+        self._mode = KstMode.PTP
+        try:
+            self._accept(application.GUIDE)
+        except KstError:
+            self._end_motion()
+            raise
 
     def start_ptp_joints(self, q: ArrayLike, velocity: float, torques: ArrayLike | None = None) -> None:
         """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1]. With
