@@ -21,6 +21,7 @@ from grasping.lab.synthetic import reflex_labels, samples
 from grasping.lab.synthetic.pose_labels import REASONS
 from grasping.lab.synthetic.scene import SceneCamera, height_map
 from grasping.network import maps
+from grasping.poses.gripper import GRIPPERS
 from rig_simulation.world import lifting
 from rig_simulation.world.lifting import GROUND_M, LOWEST, P_HAND_GRIP, TIPS_M, hand_pose, lift, main, reliability
 
@@ -213,9 +214,8 @@ def content(**more):
 
 def test_attempts_to_train_on_are_lifted_each_along_its_own_approach(tmp_path):
     weights = Path(__file__).parents[3] / "grasping" / "weights" / "ggcnn2_reflex.pt"
-    task = AttemptTask(
-        tmp_path / "shard.npz", "train", range(1, 2), weights, 8, None, maps.REFLEX, tmp_path / "results"
-    )
+    hand = maps.REFLEX, GRIPPERS[maps.REFLEX], tmp_path / "results"
+    task = AttemptTask(tmp_path / "shard.npz", "train", range(1, 2), weights, 8, None, *hand)
     file = tmp_path / "grasps.json"
     file.write_text(json.dumps({"schema": lift_file.SCHEMA, "scenes": [make_attempts.exported((task, 1))]}))
     (scene,) = lifting.read(file)
