@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.action_stream import FADE_S, MAX_AHEAD_S, MOST_ACTIONS, ActionChunk, ActionStream
+from common.action_stream import FADE_S, MAX_AHEAD_S, MOST_ACTIONS, ActionChunk, ActionStream, check_chunk
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 
@@ -20,7 +20,7 @@ def chunk(start=NOW, period=0.1, count=5, from_z=0.3, step=0.01, fingers=4) -> A
 
 
 def stream(*chunks: ActionChunk) -> ActionStream:
-    of = ActionStream(4)
+    of = ActionStream()
     for one in chunks:
         of.take(one, max(one.start, NOW))
     return of
@@ -41,7 +41,7 @@ def test_before_the_first_action_it_holds_already_and_after_the_last_ones_period
     of = stream(chunk(start=NOW + 0.4))
     np.testing.assert_allclose(of.at(NOW).T_base_tool, chunk().T_base_tool[0])
     assert of.at(NOW + 0.89) is not None and of.at(NOW + 0.9) is None
-    assert ActionStream(4).at(NOW) is None
+    assert ActionStream().at(NOW) is None
 
 
 @pytest.mark.parametrize("at", np.linspace(0.0, 0.4, 9))
@@ -88,10 +88,25 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("sentence", REFUSED)
-def test_what_is_refused_is_named_and_leaves_nothing(sentence):
-    of = stream(chunk())
+def test_what_is_refused_is_named(sentence):
+    check_chunk(chunk(), 4, NOW)
     with pytest.raises(ValueError, match=sentence):
-        of.take(REFUSED[sentence], NOW)
-    assert of.at(NOW) is None
-    of.take(chunk(), NOW)
-    assert of.at(NOW) is not None
+        check_chunk(REFUSED[sentence], 4, NOW)
+
+
+def test_actions_that_come_faster_than_they_fade_move_evenly():
+    """Single actions, 30 in a second, of a policy that moves with 0.6 m/s."""
+    of, places, frame = ActionStream(), [], 0.009
+    for k in range(60):
+        T = pose(p=(0.6 * k / 30.0, 0.0, 0.0))[None]
+        of.take(ActionChunk(NOW + k / 30.0, 0.3, T, np.zeros((1, 0))), NOW + k / 30.0)
+        places += [of.at(NOW + k / 30.0 + dt).T_base_tool[0, 3] for dt in (0.0, 0.009, 0.018, 0.027)]
+    steps = np.diff(places[20:])
+    assert steps.min() >= 0.0 and steps.max() < 1.3 * 0.6 * frame
+
+
+def test_a_program_that_is_gone_brings_the_tool_no_further_than_its_chunk():
+    of = stream(chunk())
+    assert [of.at(NOW + t) is None for t in (0.49, 0.5, 5.0)] == [False, True, True]
+    with pytest.raises(ValueError, match="it lasts 5.0 s, and at most 2 s"):
+        check_chunk(chunk(period=1.0), 4, NOW)

@@ -313,3 +313,17 @@ def test_no_program_moves_the_fingers_of_a_gripper_that_is_off_or_of_an_arm_that
     assert player.teleop.lead(np.zeros(4), player.now) is not None
     player.teleop.steered_by(None, player.now, keep_grip=True)
     assert player.teleop.lead(np.zeros(4), player.now) is None
+
+
+def test_a_grip_stays_until_a_programs_fingers_come_near_it():
+    """A program that begins with an open hand lets nothing fall."""
+    player = led()
+    grip = np.radians([60.0, 70.0, 50.0, 20.0])
+    player.teleop.lead(grip, player.now)
+    player.teleop.steered_by(None, player.now, keep_grip=True)
+    player.steps(30)
+    player.teleop.steered_by(None, player.now, keep_grip=True, led=True)
+    for _ in range(3):
+        np.testing.assert_allclose(player.teleop.lead(np.zeros(4), player.now).command, grip)
+    np.testing.assert_allclose(player.teleop.lead(grip, player.now).command, grip)
+    np.testing.assert_allclose(player.teleop.lead(np.zeros(4), player.now).command, 0.0, atol=1e-12)

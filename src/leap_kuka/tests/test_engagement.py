@@ -18,7 +18,7 @@ from common.rotations import rotation_from_zyx
 from golden.chain import parsed
 from leap_kuka.config import ArmPlacement
 from leap_kuka.engagement import TRANSITIONS, EngagementState, EngagementTrigger, Tool, When, next_state
-from leap_kuka.numbers import DEVICE_SILENCE_S, MAX_SILENCE_S
+from leap_kuka.numbers import DEVICE_SILENCE_S, LEAD_GONE_S, MAX_SILENCE_S
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
@@ -77,6 +77,7 @@ class Engagement(RuleBasedStateMachine):
         self.seen = {}  # hands as they were seen last, and when [s]
         self.last = self.sent = None
         self.led = False  # whether a pose of a program was taken since the frame before
+        self.allowed = False  # whether a program may steer
         self.told = known
         self.frames(1)
         if engaged:
@@ -189,6 +190,9 @@ class Engagement(RuleBasedStateMachine):
     def lead(self, step):
         T = np.array(self.tool if self.sent is None else self.sent)
         T[2, 3] += step
+        if not self.allowed:
+            self.teleop.allow_lead(True, self.now)
+            self.allowed = True
         self.led = not self.teleop.lead(T, self.now)
 
     @rule(mode=st.sampled_from(["stopped", "moving", "holding", "pick_up", "servo", "home"]))
@@ -227,6 +231,7 @@ class Engagement(RuleBasedStateMachine):
         if owner is not None and result.owner is None and result.hold is not HoldState.KEPT:
             self.may, self.outside = set(), {}
         self.last = result
+        self.allowed &= result.hold is not HoldState.NONE
         tool = None if result.T_virtual_tool is None else result.T_base_virtual @ result.T_virtual_tool
         self.sent = tool
         follows = self.control_on and tool is not None and self.mode in ("home", "pick_up", "servo")
@@ -304,7 +309,8 @@ def test_the_machine_is_led_where_the_tool_can_stay(kind):
     machine.switch(True)
     machine.press()
     wanted, heights = pose(HOME[:3, :3], HOME[:3, 3] + (0.0, 0.0, 0.04)), []
-    for _ in range(110):
+    machine.teleop.allow_lead(True, machine.now)
+    for _ in range(130):
         machine.led = not machine.teleop.lead(wanted, machine.now)
         machine.frames(1)
         if machine.sent is not None:
@@ -365,6 +371,135 @@ def test_a_program_that_may_not_is_refused_and_the_tool_stays(why):
     machine.frames(1)
     assert machine.last.hold is not HoldState.LED
     assert machine.sent is None or np.allclose(machine.sent, where)
+
+
+def allowed(kind="kept", **changes) -> Engagement:
+    """A machine at home with control on, whose program may steer."""
+    machine = Engagement()
+    machine.begin(kind, True)
+    machine.switch(True)
+    machine.press()
+    machine.teleop.allow_lead(True, machine.now)
+    machine.allowed = True
+    return machine
+
+
+def test_nothing_is_led_that_nobody_allowed_and_the_permission_ends_with_control_and_with_the_program():
+    machine = allowed()
+    machine.teleop.allow_lead(False, machine.now)
+    assert "run_policy" in machine.teleop.lead(HOME, machine.now)
+    machine = allowed()
+    machine.switch(False)
+    machine.switch(True)
+    assert "run_policy" in machine.teleop.lead(HOME, machine.now)
+    machine = allowed()
+    machine.frames(int(100 * LEAD_GONE_S) + 2)
+    assert "so it may no longer" in machine.teleop.lead_fault
+    assert "run_policy" in machine.teleop.lead(HOME, machine.now)
+
+
+def test_a_tool_that_a_program_has_left_for_too_long_is_not_led_again_unasked():
+    machine = allowed()
+    for _ in range(40):
+        machine.lead(0.0)
+        machine.frames(1)
+    for _ in range(170):  # beyond hold_time
+        assert machine.teleop.lead(np.diag([1.0, 1.0, 1.0, 1.0]) @ pose(HOME[:3, :3], (0.4, -0.4, 0.7)), machine.now)
+        machine.frames(1)
+    assert machine.last.hold is HoldState.NONE
+    machine.frames(60)
+    assert "run_policy" in machine.teleop.lead(HOME, machine.now)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_any_hands_fist_is_the_clutch_of_a_tool_that_is_led(side):
+    machine = Engagement()
+    machine.begin("kept", True)
+    changes = {"engagement": "relative", "hold_time": 1.0, "clutch": "second_hand_fist", "hand": "right"}
+    leap = parsed("leap", changes, others=("operator_input",))
+    machine.teleop = ArmTeleop(leap, placement(), measured_tool=machine.at)
+    machine.frames(2)
+    machine.switch(True)
+    for _ in range(20):
+        machine.lead(0.002)
+        machine.frames(1)
+    assert machine.last.hold is HoldState.LED
+    machine.hands = {3 if side == "left" else 2: hand(3 if side == "left" else 2, "out", grab=1.0)}
+    machine.frames(1)
+    assert machine.last.hold is HoldState.KEPT and machine.last.clutched
+    assert "clutch" in machine.teleop.lead(machine.sent, machine.now)
+
+
+def test_repeated_frames_bring_a_led_tool_no_further():
+    machine = allowed()
+    for _ in range(120):
+        machine.lead(0.0)
+        machine.frames(1)
+    before, T = np.array(machine.sent), np.array(machine.sent)
+    for _ in range(12):
+        T = T @ pose(p=(0.0, 0.0, -0.015))
+        machine.now += 0.01
+        machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, T)
+    machine.now += 0.01
+    machine.number += 1
+    result = machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, before)
+    np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, before, atol=1e-9)
+
+
+def test_before_the_arm_follows_a_led_tool_stays():
+    machine = allowed()
+    for step in range(30):
+        machine.now += 0.01
+        machine.number += 1
+        machine.teleop.control(True, "home", 1.0, machine.now)
+        wanted = pose(HOME[:3, :3], HOME[:3, 3] + (0.0, 0.0, 0.001 * step))
+        result = machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, wanted)
+        np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, HOME, atol=1e-9)
+    assert result.hold is HoldState.LED
+
+
+def test_while_the_controller_is_silent_nothing_is_led():
+    machine = allowed()
+    machine.told = False
+    machine.frames(1)
+    for _ in range(200):
+        machine.number, machine.now = machine.number + 1, machine.now + 0.01
+        machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, HOME)
+    assert "controller is silent" in machine.teleop.lead_fault
+
+
+def test_an_arm_that_is_not_at_home_is_not_led_from_there_as_no_hand_steers_it_from_there():
+    machine = allowed()
+    machine.mode = "servo"
+    machine.teleop.control(True, "servo", 1.0, machine.now)
+    assert "the arm is not at home" in machine.teleop.lead(HOME, machine.now)
+
+
+def test_a_tracker_that_is_too_slow_for_a_hand_is_too_slow_for_a_program():
+    machine = allowed()
+    for _ in range(20):
+        machine.lead(0.0)
+        machine.frame(0.1)
+    assert "frames per second" in machine.teleop.lead(HOME, machine.now)
+
+
+def test_a_tool_that_is_led_far_ahead_of_the_arm_comes_back_when_it_is_stopped():
+    machine = allowed()
+    arm = {"T": HOME}
+    machine.teleop._measured_tool = lambda: arm["T"]
+    for _ in range(150):
+        machine.lead(0.002)
+        machine.frames(1)
+    ahead = machine.sent[2, 3] - HOME[2, 3]
+    assert ahead > 0.1
+    machine.teleop.allow_lead(False, machine.now)
+    for _ in range(60):
+        machine.now += 0.01
+        machine.number += 1
+        machine.teleop.control(True, "servo", 1.0, machine.now)
+        result = machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now)
+    left = (result.T_base_virtual @ result.T_virtual_tool)[2, 3] - HOME[2, 3]
+    assert left < 0.06
 
 
 TestEngagement = Engagement.TestCase

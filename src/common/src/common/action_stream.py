@@ -10,7 +10,8 @@ import numpy as np
 from common.poses import check_pose, pose
 from common.rotations import scaled_rotation
 
-MOST_ACTIONS = 500
+MOST_ACTIONS = 200
+LONGEST_S = 2.0  # a program that is gone brings the tool no further
 PERIODS_S = 0.005, 1.0
 MAX_AHEAD_S = 0.5  # a chunk may begin so much later than now
 FADE_S = 0.1
@@ -39,22 +40,18 @@ class PolicyAction:
 class ActionStream:
     """Takes chunks, and says which action holds."""
 
-    def __init__(self, fingers: int) -> None:
-        self._count = fingers  # of a chunk that commands the hand
+    def __init__(self) -> None:
         self._chunk: ActionChunk | None = None
-        self._before: ActionChunk | None = None  # is faded out
+        self._before: PolicyAction | None = None  # what held when the chunk came; it is faded out
         self._taken_at = 0.0
 
     def clear(self) -> None:
         self._chunk = self._before = None
 
     def take(self, chunk: ActionChunk, now: float) -> None:
-        """Replaces what was to come; a chunk that is refused leaves nothing. Raises ValueError with the reason, a part
-        of a sentence."""
-        before = self._chunk if self.at(now) is not None else None
-        self.clear()
-        check_chunk(chunk, self._count, now)
-        self._chunk, self._before, self._taken_at = chunk, before, now
+        """Replaces what was to come by a chunk that `check_chunk` has passed."""
+        self._before = self.at(now)
+        self._chunk, self._taken_at = chunk, now
 
     def at(self, now: float) -> PolicyAction | None:
         """Returns the action that holds, None: there is none."""
@@ -62,19 +59,20 @@ class ActionStream:
             return None
         new = _at(self._chunk, now)
         w = (now - self._taken_at) / FADE_S
-        if self._before is None or w >= 1.0:
-            return new
-        old = _at(self._before, now)
-        return _between(old, new, max(w, 0.0))
+        return new if self._before is None or w >= 1.0 else _between(self._before, new, max(w, 0.0))
 
 
 def check_chunk(chunk: ActionChunk, fingers: int, now: float) -> None:
+    """Raises ValueError with the reason why a chunk is not taken `now`, a part of a sentence; `fingers`: commands of
+    the hand, if it has any."""
     n, period = len(chunk.T_base_tool), chunk.period
     low, high = PERIODS_S
     if not 0 < n <= MOST_ACTIONS:
         raise ValueError(f"it has {n} actions, and 1 to {MOST_ACTIONS} are possible")
     if not low <= period <= high:
         raise ValueError(f"its period is {period:g} s and must be {low:g} to {high:g} s")
+    if n * period > LONGEST_S:
+        raise ValueError(f"it lasts {n * period:.1f} s, and at most {LONGEST_S:g} s are possible")
     if not now < chunk.end:
         raise ValueError(f"it came {now - chunk.end:.2f} s after its end")
     if not chunk.start - now <= MAX_AHEAD_S:

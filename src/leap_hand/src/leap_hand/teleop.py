@@ -80,6 +80,7 @@ class HandTeleop:
         self._owner: tuple[int, bool] | None = None
         self._keep_grip = False
         self._led = False
+        self._leads = False  # whether a program has moved the fingers since it leads
         self._gripper_on: bool | None = True if hand_only else None
         self._opened_in_silence = False
         self._state = GripperState.WAITING
@@ -100,6 +101,7 @@ class HandTeleop:
         self._reported_at = now
         self._keep_grip = keep_grip
         self._led = led
+        self._leads &= led
         if owner is not None or keep_grip:
             self._lock.end()
 
@@ -119,12 +121,18 @@ class HandTeleop:
 
     def lead(self, command: np.ndarray, now: float) -> GripperResult | None:
         """Moves the fingers to a program's command, shape (4,) [rad], as far as this hand's mapping goes, while a
-        program steers the arm and control of the gripper is on; else returns None."""
+        program steers the arm and control of the gripper is on; else returns None. Fingers that grip stay until the
+        program's come near."""
         if not (self._led and self._gripper_on and now - self._reported_at <= OLD_ROWS_S):
             return None
+        if not self._leads:  # a grip opens no faster than the program's fingers come to it
+            self._kept[:] = self._state.grips
+        self._leads = True
         self._state = GripperState.KEEPING
         self._followed, self._followed_at = None, now
-        self._command = read_only(np.clip(command, self._robot.min(axis=1), self._robot.max(axis=1)))
+        wanted = np.clip(command, self._robot.min(axis=1), self._robot.max(axis=1))
+        self._kept &= np.abs(wanted - self._command) > NEAR * np.abs(np.diff(self._robot)[:, 0])
+        self._command = read_only(np.where(self._kept, self._command, wanted))
         return GripperResult(GripperState.KEEPING, "a program moves the fingers", self._command)
 
     def step(self, frame: TrackingFrame, now: float) -> GripperResult | None:

@@ -54,6 +54,7 @@ AT_HOME_M: Final = 0.03
 MAX_HOLD_S: Final = 120.0
 MAX_TOOL_DISTANCE_M: Final = FAR_TOOL_M  # from the base
 LEAD_SILENCE_S: Final = HAND_LOST_S  # a program that steers is silent
+LEAD_GONE_S: Final = 5.0  # a program that steers has left: it must be allowed anew
 LEAD_NEAR_M: Final = 0.05  # a program's first pose is so near to where the tool is,
 LEAD_NEAR_RAD: Final = math.radians(20.0)  # and turned by no more
 MAX_TILT_DEG: Final = 50.0  # of a held tool against home, where it points down; 45 for a tilted grasp, and an error

@@ -26,6 +26,7 @@ from leap_kuka.hand_average import HandAverage, MeanHand, hand_frame
 from leap_kuka.kept_tool import Leaving, Measured, ToolBehind, kept, no_measured_tool, tool_at_home
 from leap_kuka.numbers import (
     ENOUGH_RATE_HZ,
+    LEAD_GONE_S,
     LEAD_NEAR_M,
     LEAD_NEAR_RAD,
     LEAD_SILENCE_S,
@@ -60,6 +61,7 @@ from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, virtual_le
 from leap_motion.frames import TrackedHand, TrackingFrame
 
 CONTROL_IS_OFF = EngagementTrigger.CONTROL_OFF.reason().text
+CONTROLLER_SILENT = "the arm's controller is silent"
 TOO_NEAR = "it is too near to the base, behind it or below its foot"
 _HOLDS = {
     EngagementState.HELD: HoldState.HELD,
@@ -112,6 +114,9 @@ class ArmTeleop:
         self._taken = False  # whether the stream took a held tool over
         self._held: Held | None = None
         self._hold_ended: Reason | None = None  # why, which is said once
+        self._lead_allowed = False
+        self._lead_at = -math.inf  # when a program's pose came last, or was allowed [s]
+        self.lead_fault = ""  # why the newest pose of a program does not bring the tool on
         self._lead_fade = FadingStep(np.zeros(3), np.eye(3), 0.0)
         self._lead_ended: Reason | None = None  # why a program no longer brings the tool that is kept
         self._measured_tool = measured_tool
@@ -173,10 +178,19 @@ class ArmTeleop:
             (self._mode not in FOLLOWS_TOOL, EngagementTrigger.ARM_LEFT.reason(detail=self._mode).text),
         )
 
+    def allow_lead(self, allowed: bool, now: float) -> None:
+        """Lets a program steer from now on, or no longer. The permission ends by itself: with control, with the tool
+        that an engagement has left, and where no pose comes for LEAD_GONE_S."""
+        self._lead_allowed, self._lead_at = allowed, now
+        self.lead_fault = ""
+        if not allowed:
+            self._fire(EngagementTrigger.LEAD_LOST, now, "the program was stopped")
+
     def lead(self, T_base_tool: np.ndarray, now: float) -> str:
         """Brings the tool, while no hand steers it, to the next pose of a program, shape (4, 4) [m]; returns why not,
         or an empty text. What is between the tool and the first pose fades out. Where a pose is refused, or the program
         silent for LEAD_SILENCE_S, the tool stays; a hand that comes in takes it over there."""
+        self._lead_at = now
         fault = hold_fault(T_base_tool, LEAD_SILENCE_S, self._mounting.up, self._R_home[2])
         fault = fault or self._lead_inhibited(T_base_tool, now)
         if not fault:
@@ -192,25 +206,34 @@ class ArmTeleop:
         self._hold_ended = self._left = None
         return ""
 
-    def end_lead(self, now: float) -> None:
-        """Ends the steering of a program; the tool stays."""
-        self._fire(EngagementTrigger.LEAD_LOST, now, "the program was stopped")
+    def _look_for_lead(self, T_base_tool: np.ndarray | None, now: float) -> None:
+        if T_base_tool is not None and self._lead_allowed:
+            self.lead_fault = self.lead(T_base_tool, now)
+        elif self._lead_allowed and now - self._lead_at > LEAD_GONE_S:
+            self.allow_lead(False, now)
+            self.lead_fault = f"no pose of it came for {LEAD_GONE_S:g} s, so it may no longer"
 
     def _lead_inhibited(self, T_base_tool: np.ndarray, now: float) -> str:
         stop = self.switches.stop
+        not_ready = "" if self._state.held else self._not_ready(now)
         return _first(
             (
                 (not self._keeps, "a program needs leap/engagement relative, and a leap/hold_time above 0"),
                 *self._program_inhibited(T_base_tool, now),
+                (not self._lead_allowed, "nobody has allowed it by leap_kuka/run_policy"),
                 (self._state is EngagementState.HELD, "it is held for a hand"),
                 (stop, stop.text if stop else ""),
+                (not now - self._status_at <= MAX_STATUS_AGE_S, CONTROLLER_SILENT),
+                (self._slow, self._slowness),
+                (not_ready, not_ready),
             )
         )
 
     def _led_tool(self, T_base_tool: np.ndarray, now: float) -> np.ndarray:
-        """Returns where a pose of a program brings the tool, shape (4, 4) [m]; raises ValueError if that is too far."""
+        """Returns where a pose of a program brings the tool, shape (4, 4) [m]: nowhere before the arm follows. Raises
+        ValueError if that is too far."""
         T_now = self._held.T_base_tool if self._held is not None else self._tool_of_arm()
-        begins = self._state is not EngagementState.LED
+        begins = self._state is not EngagementState.LED or self._mode != Mode.SERVO
         if begins:
             step = inverse(T_base_tool) @ T_now
             self._lead_fade = FadingStep(T_now[:3, 3] - T_base_tool[:3, 3], step[:3, :3], now)
@@ -247,6 +270,7 @@ class ArmTeleop:
         self._scaling = Scaling(self._ws_center, scale, offset)
         self._status_at = now
         if not on:
+            self._lead_allowed = False
             self._fire(EngagementTrigger.CONTROL_OFF, now)
         elif not before:
             self._lock.end()
@@ -265,8 +289,9 @@ class ArmTeleop:
         """Tracking frames per second [Hz], None while it is unknown."""
         return self._watch.rate
 
-    def step(self, frame: TrackingFrame, now: float) -> TeleopResult:
-        """Processes the newest frame; `now` is its time of arrival on a monotonic clock [s]."""
+    def step(self, frame: TrackingFrame, now: float, T_lead: np.ndarray | None = None) -> TeleopResult:
+        """Processes the newest frame; `now` is its time of arrival on a monotonic clock [s]. `T_lead`: the pose to
+        which a program wants to bring the tool, shape (4, 4) [m]; `lead_fault` says why it does not."""
         arrival = self._watch.arrived(frame.id, frame.age, now)
         if arrival.broken:
             self._lose_tracker(arrival.broken, now)
@@ -300,12 +325,15 @@ class ArmTeleop:
         if self._ended is not None:
             self._reason = self._ended
             self._ended = None
+        self._look_for_lead(T_lead, now)
         if self._state.running:
             if self._keeps and self._newest is not None:
                 self._behind.look(self._measured_tool, self._T_base_scaled(self._newest), now)
         elif self._mean is None:
             resumes = self._state is EngagementState.PAUSED
             self._unmet = OF_A_HAND - (HAND_CAME_IN if resumes else set()) | self._obstacles(resumes, now).keys()
+        if self._state is EngagementState.LED and self._held is not None:
+            self._behind.look(self._measured_tool, self._scaled(self._held.T_base_tool), now)
         self._move_kept(now)
         result = self._result(True, now)
         self._tool_at = self._tool_at if result.T_virtual_tool is None else now
@@ -332,6 +360,8 @@ class ArmTeleop:
         after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
         if after is before:
             return reason
+        if after is EngagementState.WAITING:
+            self._lead_allowed = False
         self._lead_ended = reason if after.kept and before is EngagementState.LED else None
         if after is EngagementState.WAITING and before.held:
             self._hold_ended = replace(reason, text=f"the tool is no longer held: {reason.text}")
@@ -339,6 +369,8 @@ class ArmTeleop:
             self._keep(now)
         elif after.kept and before is EngagementState.LED and self._held is not None:
             self._held = replace(self._held, until=now + self._hold_time)
+            if self._mode == Mode.SERVO:
+                self._left = self._behind.leave(self._measured_tool, self._scaled(self._held.T_base_tool), now)
         elif not after.held:
             self._held = self._left = None
         if before.owned and not after.owned:
@@ -357,6 +389,8 @@ class ArmTeleop:
         switches = self.switches
         number, side = owner or ((hand.id, hand.is_left) if hand is not None else (None, None))
         others = [other for other in frame.hands if side is (not other.is_left) and other.id != number]
+        if self._state is EngagementState.LED and owner is None:
+            others = list(frame.hands)  # the first hand that comes may be the one that stops
         keeps = self._state.kept or self._state is EngagementState.LED
         switches.update(others, stamp, now, owner is not None or keeps)
         if switches.lost:
@@ -386,7 +420,9 @@ class ArmTeleop:
 
     def _T_base_scaled(self, T_virtual_tool: np.ndarray) -> np.ndarray:
         """Returns where the controller's scaling brings a desired tool, shape (4, 4) [m]."""
-        T = self._origin.T_base_virtual @ T_virtual_tool
+        return self._scaled(self._origin.T_base_virtual @ T_virtual_tool)
+
+    def _scaled(self, T: np.ndarray) -> np.ndarray:
         return pose(T[:3, :3], self._scaling.scaled(T[:3, 3]))
 
     def _follow(self, hand: TrackedHand, stamp: float, now: float) -> None:
@@ -488,7 +524,7 @@ class ArmTeleop:
                 f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}",
             ),
             (self._relative and not self._control_on, CONTROL_IS_OFF),
-            (self._relative and not now - self._status_at <= MAX_STATUS_AGE_S, "the arm's controller is silent"),
+            (self._relative and not now - self._status_at <= MAX_STATUS_AGE_S, CONTROLLER_SILENT),
         )
         return _first(rows)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
 import rospy
 
 from common import clock
-from common.action_stream import ActionChunk, ActionStream, PolicyAction
+from common.action_stream import MOST_ACTIONS, ActionChunk, ActionStream, PolicyAction, check_chunk
 from common.ros.conversions import pose_from_message
 
 POLICY_ACTIONS = "leap_kuka/policy_actions"
@@ -20,41 +21,48 @@ class PolicyInput:
 
     def __init__(self, message_type: type, base: str, motors: int, of: str = "") -> None:
         self._base, self._motors = base, motors
-        self._stream = ActionStream(motors)
+        self._stream = ActionStream()
         self._lock = clock.Lock()
         self._refused = ""
         rospy.Subscriber(of + POLICY_ACTIONS, message_type, self._on_actions, queue_size=1, tcp_nodelay=True)
 
-    def at(self, now: rospy.Time) -> PolicyAction | None:
-        """Returns the action that holds."""
+    @property
+    def now(self) -> PolicyAction | None:
+        """The action that holds now."""
         with self._lock:
-            return self._stream.at(now.to_sec())
+            return self._stream.at(clock.monotonic())
 
     def clear(self) -> None:
         with self._lock:
             self._stream.clear()
 
     def _on_actions(self, message: Any) -> None:
-        now = rospy.Time.now().to_sec()
-        refused = ""
+        try:
+            # From here on by the monotonic clock: that of ROS may be set, or stand.
+            start = clock.monotonic() + (message.header.stamp - rospy.Time.now()).to_sec()
+            chunk = self._chunk(message, start)
+            check_chunk(chunk, self._motors, clock.monotonic())
+        except ValueError as error:
+            self.clear()
+            refused = str(error)
+            if re.sub(r"[-\d.]+", "", refused) != self._refused:
+                rospy.logwarn("The policy's actions are refused: %s.", refused)
+            self._refused = re.sub(r"[-\d.]+", "", refused)
+            return
+        self._refused = ""
         with self._lock:
-            try:
-                self._stream.take(self._chunk(message), now)
-            except ValueError as error:
-                self._stream.clear()
-                refused = str(error)
-        if refused and refused != self._refused:
-            rospy.logwarn("The policy's actions are refused: %s.", refused)
-        self._refused = refused
+            self._stream.take(chunk, clock.monotonic())
 
-    def _chunk(self, message: Any) -> ActionChunk:
+    def _chunk(self, message: Any, start: float) -> ActionChunk:
         """Raises ValueError if a pose is none."""
         if message.header.frame_id != self._base:
             raise ValueError(f"their frame is {message.header.frame_id!r}, not {self._base}")
         n = len(message.tool)
+        if n > MOST_ACTIONS:
+            raise ValueError(f"it has {n} actions, and 1 to {MOST_ACTIONS} are possible")
         if len(message.fingers) not in (0, n * self._motors):
             wanted = f"{self._motors} for each of {n} actions"
             raise ValueError(f"they have {len(message.fingers)} finger commands, and none or {wanted} are needed")
         T = [pose_from_message(one) for one in message.tool]
         fingers = np.array(message.fingers, dtype=float).reshape(n, -1) if n else np.zeros((0, 0))
-        return ActionChunk(message.header.stamp.to_sec(), message.period, np.array(T).reshape(-1, 4, 4), fingers)
+        return ActionChunk(start, message.period, np.array(T).reshape(-1, 4, 4), fingers)

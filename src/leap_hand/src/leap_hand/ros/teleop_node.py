@@ -106,12 +106,12 @@ class HandTeleopNode:
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
             result = self._teleop.step(frame, clock.monotonic())
+            action = self._policy.now
+            if result is not None and action is not None and action.fingers.size:
+                result = self._teleop.lead(action.fingers, clock.monotonic()) or result
             self._carry_out(result)
             if result is not None and result.command is not None:
                 self._stage_times.done(stamp)
-            action = self._policy.at(rospy.Time.now())
-            if result is not None and action is not None and action.fingers.size:
-                self._carry_out(self._teleop.lead(action.fingers, clock.monotonic()))
 
     def _on_hand_state(self, hand: Hand) -> None:
         with while_running(), self._lock:

@@ -5,6 +5,7 @@ say, while no hand steers."""
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import rospy
@@ -77,7 +78,6 @@ class ArmTeleopNode:
         rospy.Subscriber(operator_input, OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
         rospy.Service(f"{of}leap_kuka/hold_tool", HoldTool, self._on_hold_request)
         self._policy = PolicyInput(PolicyActions, self._base, len(ROBOT_HAND.motors), of)
-        self._policy_runs = False
         self._policy_fault = ""
         rospy.Service(f"{of}leap_kuka/run_policy", SetBool, self._on_run_policy)
         if teleop.switches.elsewhere:  # the topic is that of all arms
@@ -97,9 +97,10 @@ class ArmTeleopNode:
             clock.sleep(0.1)
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
+        action = self._policy.now
         with self._lock:
-            self._lead()
-            result = self._teleop.step(frame, clock.monotonic())
+            result = self._teleop.step(frame, clock.monotonic(), None if action is None else action.T_base_tool)
+            self._report_lead()
             if result.usable:
                 self._tf.publish(self._transforms(result, stamp))
                 self._stage_times.done(stamp)
@@ -133,25 +134,20 @@ class ArmTeleopNode:
             self._teleop.choose(elsewhere(message.data, self._arm), message.data != BOTH)
 
     def _on_run_policy(self, request: SetBoolRequest) -> tuple[bool, str]:
+        self._policy.clear()  # nobody waited for what came before
         with self._lock:
-            if request.data and not self._policy_runs:
-                self._policy.clear()  # nobody waited for what came before
-            self._policy_runs, self._policy_fault = request.data, ""
-            if not request.data:
-                self._teleop.end_lead(clock.monotonic())
+            self._teleop.allow_lead(request.data, clock.monotonic())
         sentence = f"The policy's actions {'count' if request.data else 'no longer count'}."
         rospy.loginfo(sentence)
         return True, sentence
 
-    def _lead(self) -> None:
-        """Lets a running policy bring the tool on; what keeps it from that is logged once."""
-        action = self._policy.at(rospy.Time.now()) if self._policy_runs else None
-        if action is None:
-            return
-        fault = self._teleop.lead(action.T_base_tool, clock.monotonic())
-        if fault and fault != self._policy_fault:
+    def _report_lead(self) -> None:
+        """Logs what keeps a policy from the tool, once, whatever numbers it has."""
+        fault = self._teleop.lead_fault
+        kind = re.sub(r"[-\d.]+", "", fault)
+        if fault and kind != self._policy_fault:
             rospy.logwarn("The policy does not steer the tool: %s.", fault)
-        self._policy_fault = fault
+        self._policy_fault = kind
 
     def _on_hold_request(self, request: HoldToolRequest) -> tuple[bool, str]:
         answer = self._hold(request)
