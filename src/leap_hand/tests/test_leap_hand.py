@@ -327,3 +327,11 @@ def test_a_grip_stays_until_a_programs_fingers_come_near_it():
         np.testing.assert_allclose(player.teleop.lead(np.zeros(4), player.now).command, grip)
     np.testing.assert_allclose(player.teleop.lead(grip, player.now).command, grip)
     np.testing.assert_allclose(player.teleop.lead(np.zeros(4), player.now).command, 0.0, atol=1e-12)
+
+
+def test_fingers_that_a_program_has_moved_follow_its_next_command_however_far():
+    player = led()
+    for command in (np.zeros(4), np.radians([90.0, 90.0, 80.0, 30.0]), np.zeros(4)):
+        player.step()
+        player.teleop.steered_by(None, player.now, keep_grip=True, led=True)
+        np.testing.assert_allclose(player.teleop.lead(command, player.now).command, command)

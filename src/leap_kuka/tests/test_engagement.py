@@ -180,7 +180,7 @@ class Engagement(RuleBasedStateMachine):
 
     @rule(step=st.sampled_from([*STEPS]), frames=st.integers(1, 5), silent=st.booleans())
     def program(self, step, frames, silent):
-        """A program steers: some steps, and then it goes on as long as frames come, or is silent."""
+        """A program steers for some frames; then it may be silent."""
         for _ in range(frames):
             self.lead(STEPS[step])
             self.frames(1)
@@ -280,6 +280,11 @@ class Engagement(RuleBasedStateMachine):
         if self.switched:
             silence = self.now - self.reported_at
             assert self.chosen and self.reported == (True, False) and silence <= DEVICE_SILENCE_S, result.reason
+
+    def step(self, T_lead=None):
+        """A frame without hands 10 ms later, with a pose of a program."""
+        self.now, self.number = self.now + 0.01, self.number + 1
+        return self.teleop.step(TrackingFrame(self.number, 0.0, ()), self.now, T_lead)
 
     def led_step(self, result):
         return (result.T_base_virtual @ result.T_virtual_tool - self.sent)[:3, 3]
@@ -404,7 +409,7 @@ def test_a_tool_that_a_program_has_left_for_too_long_is_not_led_again_unasked():
         machine.lead(0.0)
         machine.frames(1)
     for _ in range(170):  # beyond hold_time
-        assert machine.teleop.lead(np.diag([1.0, 1.0, 1.0, 1.0]) @ pose(HOME[:3, :3], (0.4, -0.4, 0.7)), machine.now)
+        assert machine.teleop.lead(pose(HOME[:3, :3], (0.4, -0.4, 0.7)), machine.now)
         machine.frames(1)
     assert machine.last.hold is HoldState.NONE
     machine.frames(60)
@@ -440,20 +445,15 @@ def test_repeated_frames_bring_a_led_tool_no_further():
         T = T @ pose(p=(0.0, 0.0, -0.015))
         machine.now += 0.01
         machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, T)
-    machine.now += 0.01
-    machine.number += 1
-    result = machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, before)
+    result = machine.step(before)
     np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, before, atol=1e-9)
 
 
 def test_before_the_arm_follows_a_led_tool_stays():
     machine = allowed()
     for step in range(30):
-        machine.now += 0.01
-        machine.number += 1
         machine.teleop.control(True, "home", 1.0, machine.now)
-        wanted = pose(HOME[:3, :3], HOME[:3, 3] + (0.0, 0.0, 0.001 * step))
-        result = machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, wanted)
+        result = machine.step(pose(HOME[:3, :3], HOME[:3, 3] + (0.0, 0.0, 0.001 * step)))
         np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, HOME, atol=1e-9)
     assert result.hold is HoldState.LED
 
@@ -463,8 +463,7 @@ def test_while_the_controller_is_silent_nothing_is_led():
     machine.told = False
     machine.frames(1)
     for _ in range(200):
-        machine.number, machine.now = machine.number + 1, machine.now + 0.01
-        machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now, HOME)
+        machine.step(HOME)
     assert "controller is silent" in machine.teleop.lead_fault
 
 
@@ -494,10 +493,8 @@ def test_a_tool_that_is_led_far_ahead_of_the_arm_comes_back_when_it_is_stopped()
     assert ahead > 0.1
     machine.teleop.allow_lead(False, machine.now)
     for _ in range(60):
-        machine.now += 0.01
-        machine.number += 1
         machine.teleop.control(True, "servo", 1.0, machine.now)
-        result = machine.teleop.step(TrackingFrame(machine.number, 0.0, ()), machine.now)
+        result = machine.step()
     left = (result.T_base_virtual @ result.T_virtual_tool)[2, 3] - HOME[2, 3]
     assert left < 0.06
 

@@ -12,6 +12,7 @@ pytest.importorskip("kuka_msgs.srv")
 import rospy
 from std_srvs.srv import SetBool
 
+from campaign.hand_puppet import PERIOD_S
 from campaign.rig import TELEOP
 from common import clock
 from common.poses import pose
@@ -82,7 +83,8 @@ def test_a_policy_moves_arm_and_fingers_and_the_operator_takes_over_without_a_ju
         rig.hand.hide()
         rig.wait(lambda: rig.stream_state == "waiting" and "a program steers" in rig.stream[-1][1], "the policy again")
     steps = np.linalg.norm(np.diff(desired_places(rig), axis=0), axis=1)
-    assert steps.max() < 0.006, "0.65 m/s, also of a hand that comes in"
+    # A chunk begins 8 mm ahead; while it fades in, the tool moves with three times the policy's speed at most.
+    assert steps.max() <= 3.0 * SPEED_M_S * PERIOD_S
     assert max(stood) < 0.01
     assert not [text for _, _, text in rig.said if "safety stop" in text.lower()]
 
@@ -99,4 +101,4 @@ def test_actions_that_jump_or_are_no_numbers_leave_the_tool_where_it_is(rig, pol
     assert rig.mode == "servo" and max(sample.speed for sample in rig.arm.since(rig.arm.now.time - 0.5)) < 0.01
     policy.offset = np.zeros(3)
     rig.watch(2.0)
-    assert np.linalg.norm(rig.desired[-1][:3, 3] - stays) > 0.02, "it goes on"
+    assert np.linalg.norm(rig.desired[-1][:3, 3] - stays) > 0.02, "it continues"

@@ -54,7 +54,7 @@ class ActionStream:
         self._chunk, self._taken_at = chunk, now
 
     def at(self, now: float) -> PolicyAction | None:
-        """Returns the action that holds, None: there is none."""
+        """Returns the action that holds; None if no chunk does."""
         if self._chunk is None or now >= self._chunk.end:
             return None
         new = _at(self._chunk, now)

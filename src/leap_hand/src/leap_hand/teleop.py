@@ -125,8 +125,6 @@ class HandTeleop:
         program's come near."""
         if not (self._led and self._gripper_on and now - self._reported_at <= OLD_ROWS_S):
             return None
-        if not self._leads:  # a grip opens no faster than the program's fingers come to it
-            self._kept[:] = self._state.grips
         self._leads = True
         self._state = GripperState.KEEPING
         self._followed, self._followed_at = None, now
@@ -225,7 +223,7 @@ class HandTeleop:
         if not kept and now - self._followed_at >= self._grip_hold:
             self.counts.grips_opened += 1
             return self._open(reason)
-        self._kept |= kept and self._owner is None
+        self._kept |= kept and self._owner is None and not self._leads
         self.counts.grips_kept += self._state is GripperState.FOLLOWING
         self._state = GripperState.KEEPING
         how_long = "while the tool stays" if kept else f"for {self._grip_hold:g} s"

@@ -54,7 +54,7 @@ class PolicyInput:
             self._stream.take(chunk, clock.monotonic())
 
     def _chunk(self, message: Any, start: float) -> ActionChunk:
-        """Raises ValueError if a pose is none."""
+        """Returns the chunk of a message; raises ValueError if it is invalid."""
         if message.header.frame_id != self._base:
             raise ValueError(f"their frame is {message.header.frame_id!r}, not {self._base}")
         n = len(message.tool)
