@@ -32,7 +32,7 @@ JSON ?=
 ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
 .PHONY: $(READY)  # the folder was moved
 endif
-.PHONY: help setup environment demo test test-fast test-noetic test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad wheels lerobot ros2 clean distclean
+.PHONY: help setup environment demo test test-fast test-noetic test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad wheels objects lerobot ros2 clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /  make \1\t/' | expand -t 20
@@ -110,6 +110,9 @@ cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures,
 
 wheels: $(READY) ## the libraries that need no ROS, for pip: build/wheels
 	@tools/wheels.sh
+
+objects: $(READY) ## installs pybullet for its objects random_urdfs, to train or test a network of lifts (280 MB)
+	@.venv/bin/pip install -q --no-deps -r requirements-objects.txt
 
 lerobot: ## installs LeRobot into .venv-lerobot, for export_recording.py --lerobot (8 GB from PyPI)
 	@.venv-lerobot/bin/python -m pip --version > /dev/null 2>&1 || /usr/bin/python3 -m venv .venv-lerobot

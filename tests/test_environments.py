@@ -32,6 +32,16 @@ def test_python_38_has_what_is_needed_elsewhere_each_package_in_one_release():
     assert not {pin.lower().split("==")[0] for pin in elsewhere} - {pin.split("==")[0] for pin in known}
 
 
+def test_what_few_need_has_a_list_and_a_command_of_its_own():
+    recipes = (ROOT / "Makefile").read_text()
+    usual = pins("requirements.txt") + pins("requirements-dev.txt") + pins("requirements-webcam.txt")
+    for command, package in {"objects": "pybullet", "lerobot": "lerobot"}.items():
+        recipe = re.search(rf"^{command}:.*\n((?:\t.*\n)+)", recipes, re.M)
+        assert recipe and f"-r requirements-{command}.txt" in recipe[1]
+        assert package in {pin.split("==")[0] for pin in pins(f"requirements-{command}.txt")}
+        assert package not in {pin.split("==")[0] for pin in usual}
+
+
 def test_noetic_has_what_debian_has():
     wanted, served = pins("apt-packages.txt"), []
     for line in (ROOT / "apt-packages-noetic.txt").read_text().splitlines():

@@ -212,6 +212,12 @@ def test_a_blob_is_read_about_its_middle(tmp_path, monkeypatch):
     random_urdfs.blob.cache_clear()
 
 
+def test_without_the_package_of_the_blobs_a_sentence_says_which_command_installs_it(monkeypatch):
+    monkeypatch.setattr(random_urdfs.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(RigError, match="come with the package pybullet, which is not installed: make objects"):
+        random_urdfs.folder()
+
+
 def test_blobs_that_are_kept_are_not_trained_on(monkeypatch):
     drawn = {}
     monkeypatch.setattr(random_urdfs, "is_used", lambda _: True)

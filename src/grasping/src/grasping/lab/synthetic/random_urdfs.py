@@ -69,5 +69,5 @@ def folder() -> Path:
     """Returns where the objects are; raises RigError without the package pybullet."""
     found = importlib.util.find_spec("pybullet_data")
     if found is None or found.origin is None:
-        raise RigError("The objects random_urdfs come with the package pybullet: pip install pybullet==3.2.7.")
+        raise RigError("The objects random_urdfs come with the package pybullet, which is not installed: make objects.")
     return Path(found.origin).parent / "random_urdfs"
