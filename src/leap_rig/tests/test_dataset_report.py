@@ -253,6 +253,17 @@ def test_what_would_spoil_a_training_is_refused_by_name(tmp_path, name):
 
 
 @pytest.mark.ros
+def test_while_a_policy_leads_no_hand_need_be_seen(tmp_path):
+    from rig_msgs.msg import TeleopState
+
+    def led(found):
+        states = [("/leap_kuka/state", TeleopState(state="holding", hold="led"), 0.2 * i) for i in range(15)]
+        return sorted(POISON["tracking-lost"](found) + states, key=lambda one: one[2])
+
+    assert names(episode(tmp_path / "episode_00001", led)) == set()
+
+
+@pytest.mark.ros
 def test_a_good_episode_is_refused_nothing_and_measured(tmp_path):
     found = quality.episode_quality(episode(tmp_path / "episode_00001", seconds=8.0), 20, QualityLimits())
     assert found.faults == [] and set(quality.MEASURES) == set(found.measures) and found.rates.keys() >= {COLOR, JOINTS}

@@ -4,13 +4,14 @@ jumps."""
 from __future__ import annotations
 
 import signal
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("kuka_msgs.srv")
 import rospy
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from campaign.hand_puppet import PERIOD_S
 from campaign.rig import TELEOP
@@ -18,6 +19,11 @@ from common import clock
 from common.poses import pose
 from common.ros.conversions import message_from_pose
 from common.ros.node import repeat
+from common.ros.service_calls import call
+from leap_rig.operator.ros.speaker import Speaker
+from leap_rig.recording.dataset import INTERVENTION, POLICY_LED, exported_episodes
+from leap_rig.recording.ros import record_program
+from leap_rig.recording.session import episode_folder
 from rig_msgs.msg import PolicyActions
 
 pytestmark = pytest.mark.ros
@@ -102,3 +108,41 @@ def test_actions_that_jump_or_are_no_numbers_leave_the_tool_where_it_is(rig, pol
     policy.offset = np.zeros(3)
     rig.watch(2.0)
     assert np.linalg.norm(rig.desired[-1][:3, 3] - stays) > 0.02, "it continues"
+
+
+def test_an_exported_episode_says_when_the_operator_led_and_when_the_policy(rig, policy, tmp_path, monkeypatch):
+    git = SimpleNamespace(run=lambda *_, **__: SimpleNamespace(stdout="abc"), TimeoutExpired=TimeoutError)
+    monkeypatch.setattr(record_program, "subprocess", git)
+    monkeypatch.setattr(Speaker, "play", lambda *_: None)
+    session, fps, at = tmp_path / "circles", 50, []
+    program = rig.graph.run(
+        "leap_rig", "record_episodes.py", f"{session}/", "--task", "circle", "--countdown", "0", "--operator", "7"
+    )
+    rig.wait_for_mode("servo")
+    rig.watch(1.0)
+    assert call("episodes/begin", Trigger, timeout=5.0, wait=5.0).success
+    rig.watch(2.0)
+    at.append(clock.time())
+    rig.hand.show()
+    rig.wait(lambda: rig.stream_state == "running", "the operator to take over")
+    at.append(clock.time())
+    rig.watch(1.5)
+    at.append(clock.time())
+    rig.hand.hide()
+    rig.wait(lambda: rig.stream_state == "waiting" and "a program steers" in rig.stream[-1][1], "the policy again")
+    at.append(clock.time())
+    rig.watch(1.0)
+    assert call("episodes/success", Trigger, timeout=5.0).success
+    rig.watch(0.5)
+    program.send_signal(signal.SIGINT)
+    assert program.wait(5.0) == 0, program.log
+    (one,) = exported_episodes([episode_folder(session, 0)], fps, "")
+    taken, led = one.leader[INTERVENTION], one.leader[POLICY_LED]
+    np.testing.assert_array_equal(led, ~taken)
+    rows = np.flatnonzero(taken)
+    np.testing.assert_array_equal(rows, np.arange(rows[0], rows[-1] + 1))
+    begins, ends = one.rows.times[rows[[0, -1]]] + 1.0 / fps
+    assert at[0] < begins <= at[1] + 1.5 / fps and at[2] - 1.0 / fps < ends < at[3] + 1.0 / fps
+    desired = one.signals.rows["action.desired_tool"][:, :2]
+    stays, circles = (np.median(np.linalg.norm(np.diff(desired[part], axis=0), axis=1)) * fps for part in (taken, led))
+    assert stays < 0.01 < 0.5 * SPEED_M_S < circles, "the hand stands; the policy circles"

@@ -17,7 +17,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from recordings import START, stored, write_recording
@@ -27,6 +27,7 @@ from common.rotations import rotation_about, rotation_from_quaternion
 from leap_rig.recording import csv_export, hdf5_export, read, rows_export
 from leap_rig.recording.dataset import exported_episodes
 from leap_rig.recording.episode import ARM, HAND, color_image, depth_image, training_episode
+from leap_rig.recording.leader import leader, read_leader
 from leap_rig.recording.recording_files import (
     MessageKind,
     RecordingFault,
@@ -370,6 +371,7 @@ print(json.dumps({
     "state": row["observation.state"].tolist(), "action": row["action"].tolist(),
     "image": list(row["observation.images.color"].shape), "grey": float(row["observation.images.color"].mean()),
     "depth": (255.0 * row["observation.images.depth"][:, 0, 0]).round().tolist(),
+    "led": [bool(data[i]["policy_led"]) for i in (8, 9)], "taken": [bool(data[i]["intervention"]) for i in (8, 9)],
     "success": bool(row["next.success"]), "taxels": list(row["observation.taxel_pressure"].shape),
     "force": row["observation.flange_force"].tolist(), "velocity": row["observation.velocity"].tolist(),
 }))
@@ -377,15 +379,20 @@ print(json.dumps({
 
 
 def seen_and_felt(folder):
-    """A recording as `session` makes it, with a force and depth images, labelled a success."""
+    """A recording as `session` makes it, with a force and depth images, led by a policy for 0.5 s and then by a hand;
+    labelled a success."""
     import rospy
     from geometry_msgs.msg import Vector3, Vector3Stamped
     from sensor_msgs.msg import Image
     from std_msgs.msg import Header
 
+    from rig_msgs.msg import TeleopState
+
     found = list(messages(session(folder.with_name(f"{folder.name}_plain"), images=True) / "messages.mcap"))
     for i in range(10):
         header = Header(0, rospy.Time(0, START), "")
+        hold = TeleopState(state="holding", hold="led") if i < 5 else TeleopState(state="running", hold="taken")
+        found.append(stored("/leap_kuka/state", hold, 0.1 * i))
         depth = Image(header, 64, 96, "16UC1", 0, 192, np.full((64, 96), 700 + i, "<u2").tobytes())
         found.append(stored("/camera/depth/image", depth, 0.1 * i))
         found.append(stored("/kuka/flange_force", Vector3Stamped(header, Vector3(float(i), 2.0, 3.0)), 0.1 * i))
@@ -415,6 +422,7 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert found["action"][:7] == pytest.approx([0.55] * 7, abs=0.011) and found["action"][7:] == [0.5] * 4
     assert found["image"] == [3, 64, 96] and found["grey"] == pytest.approx(100 / 255, abs=0.03)
     assert found["depth"] == [2.0, 193.0, 0.0], "705 mm"
+    assert found["led"] == [True, False] and found["taken"] == [False, True]
     assert found["success"] is True and found["taxels"] == [27] and found["force"] == [5.0, 2.0, 3.0]
     assert found["velocity"] == pytest.approx([1.0] * 7, abs=1e-3)
     about = json.loads((tmp_path / "set" / "meta" / "leap_rig.json").read_text())
@@ -422,6 +430,55 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert about["units"]["observation.flange_force"] == "N"
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 1 and "exists already" in again.stderr
+
+
+PHASES = {
+    "free": ("running", "none", 0, 0),
+    "policy": ("holding", "led", 1, 0),
+    "taken": ("running", "taken", 0, 1),
+    "resumed": ("running", "none", 0, 1),
+    "clutched": ("clutched", "kept", 0, 0),
+    "kept": ("holding", "kept", 0, 0),
+    "gone": ("waiting", "none", 0, 0),
+}
+"""State and hold, and what they say where a policy has led: that it leads, and that an operator intervenes."""
+
+
+@example([("taken", 1), ("policy", 1)])
+@given(st.lists(st.tuples(st.sampled_from(list(PHASES)), st.integers(1, 4)), max_size=12))
+def test_an_intervention_is_what_a_hand_does_after_a_policy_and_nobody_else(phases):
+    names = [name for name, count in phases for _ in range(count)]
+    found = leader([PHASES[name][:2] for name in names]).tolist()
+    first = names.index("policy") if "policy" in names else len(names)
+    for i, (name, row) in enumerate(zip(names, found)):
+        assert row != [True, True]
+        if first == len(names):
+            assert row == [False, False], "no policy ran"
+        elif i > first and name != "free":
+            assert row == list(PHASES[name][2:])
+        elif i < first:
+            assert row == [False, name == "taken"], "taken over before the recording began"
+
+
+@pytest.mark.ros
+def test_rows_say_who_gave_their_action_and_a_silent_node_leads_nothing(tmp_path):
+    from rig_msgs.msg import TeleopState
+
+    found = list(messages(session(tmp_path / "plain", images=False) / "messages.mcap"))
+    for seconds, state, hold in ((0.0, "holding", "led"), (0.42, "running", "taken"), (0.72, "holding", "led")):
+        found.append(stored("/leap_kuka/state", TeleopState(state=state, hold=hold), seconds))
+    folder = write_recording(tmp_path / "run", sorted(found, key=lambda one: one.received), name="x", task="lift")
+    (one,) = exported_episodes([folder], 20, "")
+    taken = [i for i, time in enumerate(one.rows.times - BEGIN) if 0.42 <= time + 0.05 < 0.72]
+    assert np.flatnonzero(one.leader["intervention"]).tolist() == taken and one.about["interventions"] == 1
+    np.testing.assert_array_equal(one.leader["policy_led"], ~one.leader["intervention"])
+    late = read_leader(folder, BEGIN + np.array([-0.1, 1.7, 1.8]))
+    assert [flags.tolist() for flags in late] == [[False, True, False], [False] * 3]
+    (plain,) = exported_episodes([tmp_path / "plain"], 20, "lift")
+    assert not any(rows.any() for rows in plain.leader.values()) and plain.about["interventions"] == 0
+    other = write_recording(tmp_path / "other", [raw("/leap_kuka/state", "bool x\n", b"1")])
+    with pytest.raises(RecordingFault, match="/leap_kuka/state is not one of this rig"):
+        read_leader(other, np.zeros(1))
 
 
 @pytest.mark.ros
@@ -441,6 +498,9 @@ def test_hdf5_and_rows_of_mcap_hold_what_the_dataset_has(tmp_path, capsys):
             demo, images = data[f"demo_{i}"], one.images()
             assert demo.attrs["num_samples"] == 20 and demo.attrs["task"] == "lift the cup"
             np.testing.assert_array_equal(demo["times"], one.rows.times)
+            assert demo["policy_led"].dtype == demo["intervention"].dtype == bool
+            assert demo["policy_led"][:].tolist() == [True] * 9 + [False] * 11
+            assert demo["intervention"][:].tolist() == [False] * 9 + [True] * 11
             np.testing.assert_array_equal(demo["rewards"], [0.0] * 19 + [1.0 - i])
             assert demo["dones"][:].tolist() == [0] * 19 + [1]
             keys = {key.replace("observation.", "") for key in (*one.vectors(), *images)} - {"action"}
@@ -456,6 +516,10 @@ def test_hdf5_and_rows_of_mcap_hold_what_the_dataset_has(tmp_path, capsys):
         said = [record.metadata for record in reader.iter_metadata()]
         assert [one.name for one in reader.iter_attachments()] == ["leap_rig.json"]
     assert [(one["recording"], one["success"]) for one in said] == [("one", "True"), ("two", "False")]
+    led = [json.loads(message.data) for _, topic, message in found if topic == "/policy_led"]
+    taken = [json.loads(message.data) for _, topic, message in found if topic == "/intervention"]
+    assert sum(one["policy_led"] is True for one in led) == 18 and len(led) == len(taken) == 40
+    assert sum(one["intervention"] is True for one in taken) == 22
     expected = {f"/{key}": [*rows, *episodes[1].vectors()[key]] for key, rows in episodes[0].vectors().items()}
     for topic, rows in expected.items():
         messages_of = [json.loads(message.data) for _, name, message in found if name == topic]
@@ -574,14 +638,6 @@ def test_other_tools_read_the_bag_of_ros2(tmp_path):
         info = found["/camera/rgb/camera_info"][2]
         assert all(each in info for each in ("height=480", "525.", "0.25", "distortion_model="))
         assert "package://x" in found["/kuka/workspace"][2] and "texture" in found["/kuka/workspace"][2]
-    assert found["depth"] == [2.0, 193.0, 0.0], "705 mm"
-    assert found["success"] is True and found["taxels"] == [27] and found["force"] == [5.0, 2.0, 3.0]
-    assert found["velocity"] == pytest.approx([1.0] * 7, abs=1e-3)
-    about = json.loads((tmp_path / "set" / "meta" / "leap_rig.json").read_text())
-    assert [one["recording"] for one in about["episodes"]] == ["one", "two"]
-    assert about["units"]["observation.flange_force"] == "N"
-    again = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert again.returncode == 1 and "exists already" in again.stderr
 
 
 def exported(*names, **options):

@@ -18,6 +18,7 @@ from leap_rig.recording.episode import (
     depth_image,
     training_episode,
 )
+from leap_rig.recording.leader import read_leader
 from leap_rig.recording.recording_files import RecordingFault, between
 from leap_rig.recording.run import MessageDecoders, read
 from leap_rig.recording.session import LABEL, read_label
@@ -25,8 +26,10 @@ from leap_rig.recording.session import SUCCESS as SUCCEEDED
 from leap_rig.recording.signals import SignalTable, moving, read_signals
 
 STATE, ACTION, SUCCESS, IMAGES = "observation.state", "action", "next.success", "observation.images."
+POLICY_LED, INTERVENTION = "policy_led", "intervention"  # who gave the action of a row
 KNOWN = {topics.COLOR: "color", topics.DEPTH: "depth"}
 """Names of the rig's own cameras; those of others follow from their topics."""
+FLAG = {"dtype": "bool", "shape": (1,), "names": None}
 ENDLESS = float("inf")
 
 
@@ -37,6 +40,7 @@ class ExportedEpisode(NamedTuple):
     task: str
     rows: TrainingEpisode
     signals: SignalTable
+    leader: Mapping[str, np.ndarray]  # POLICY_LED and INTERVENTION, bool, shape (n,)
     cameras: Mapping[str, str]  # topics by key
     features: dict[str, Any]
     about: Mapping[str, Any]
@@ -93,7 +97,12 @@ def _episode(recording: Path, fps: int, task: str, start: float, end: float, tri
     robot = run.manifest.get("robot", {}).get("model", {}).get("robot", "unknown")
     origin: dict[str, Any] = {"recording": recording.name, "started": run.manifest.get("started", ""), "robot": robot}
     vector = {"dtype": "float32", "shape": (len(rows.names),), "names": list(rows.names)}
+    policy_led, intervention = read_leader(recording, rows.times + 1.0 / fps)
+    leader = {POLICY_LED: policy_led, INTERVENTION: intervention}
+    origin["interventions"] = int((np.diff(intervention.astype(int), prepend=0) > 0).sum())
     features: dict[str, Any] = {STATE: vector, ACTION: dict(vector)}
+    for key in leader:
+        features[key] = dict(FLAG)
     for key, names in signals.names.items():
         features[key] = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
     for key, topic in cameras.items():
@@ -103,8 +112,8 @@ def _episode(recording: Path, fps: int, task: str, start: float, end: float, tri
     if (recording / LABEL).exists():
         label = read_label(recording)
         origin.update(asdict(label), success=label.outcome == SUCCEEDED)
-        features[SUCCESS] = {"dtype": "bool", "shape": (1,), "names": None}
-    return ExportedEpisode(recording, words, rows, signals, cameras, features, origin)
+        features[SUCCESS] = dict(FLAG)
+    return ExportedEpisode(recording, words, rows, signals, leader, cameras, features, origin)
 
 
 def camera_name(topic: str) -> str:

@@ -5,6 +5,7 @@
     data/demo_0/obs/KEY        numbers, shape (n, k), and images, shape (n, height, width, 3)
     data/demo_0/actions        shape (n, k)
     data/demo_0/rewards, dones 1 at the end of a success, and at the end
+    data/demo_0/policy_led, intervention   who gave each action, bool
     data/demo_0/times          of the rows, since the epoch [s]
     mask/success               names of the demos that succeeded
 
@@ -70,6 +71,8 @@ def _write(group: Any, one: ExportedEpisode) -> None:
     group["actions"], group["times"] = vectors.pop(ACTION), one.rows.times
     last = np.arange(n) == n - 1
     group["dones"], group["rewards"] = last.astype(np.int64), last * float(bool(one.about.get("success")))
+    for key, rows in one.leader.items():
+        group[key] = rows
     for key, rows in vectors.items():
         group[f"obs/{_short(key)}"] = rows
     for key, images in one.images().items():

@@ -46,6 +46,7 @@ def export(recordings: list[Path], folder: Path, fps: int, task: str, **cut: Any
         vectors, images = one.vectors(), one.images()
         for i in range(len(one.rows.times)):
             frame: dict[str, Any] = {key: rows[i] for key, rows in vectors.items()}
+            frame.update((key, rows[i : i + 1]) for key, rows in one.leader.items())
             if SUCCESS in one.features:
                 frame[SUCCESS] = np.array([bool(one.about["success"])])
             dataset.add_frame({**frame, **{key: next(of) for key, of in images.items()}, "task": one.task})

@@ -32,6 +32,7 @@ from common.hand_delay import Track, hand_delay
 from leap_rig.recording import topics
 from leap_rig.recording.dataset import camera_name, images
 from leap_rig.recording.episode import IMAGE, TrainingEpisode, training_episode
+from leap_rig.recording.leader import read_leader
 from leap_rig.recording.recording_files import MESSAGES, between, messages
 from leap_rig.recording.run import MessageDecoders, RecordedRun, read
 from leap_rig.recording.session import FAILURE, FOLDER, LABEL, SUCCESS, EpisodeLabel, read_label
@@ -138,7 +139,7 @@ def episode_quality(folder: Path, fps: int, limits: QualityLimits) -> EpisodeQua
         found.refuse("time-back" if "set back" in str(error) else "no-rows", str(error))
         return found
     found.measures["dropped"] = float(sum(run.manifest.get("dropped", {}).values()))
-    judge_rows(rows, signals, fps, limits, found)
+    judge_rows(rows, signals, ~read_leader(folder, rows.times)[0], fps, limits, found)
     judge_motion(run, rows, fps, found)
     for measure, name in FRACTIONS.items():
         if found.measures.get(measure, 0.0) > 100.0 * getattr(limits, measure):
@@ -147,9 +148,14 @@ def episode_quality(folder: Path, fps: int, limits: QualityLimits) -> EpisodeQua
 
 
 def judge_rows(
-    rows: TrainingEpisode, signals: SignalTable, fps: int, limits: QualityLimits, found: EpisodeQuality
+    rows: TrainingEpisode,
+    signals: SignalTable,
+    by_hand: np.ndarray,
+    fps: int,
+    limits: QualityLimits,
+    found: EpisodeQuality,
 ) -> None:
-    """Adds what the rows say: their numbers, frozen joints, limits, and lost hands."""
+    """Adds what the rows say: their numbers, frozen joints, limits, and lost hands where no policy leads, `by_hand`."""
     duration = len(rows.times) / fps
     found.measures["duration"] = duration
     if duration < limits.shortest:
@@ -166,7 +172,7 @@ def judge_rows(
     found.measures["limited"] = 100.0 * float(limited.mean())
     found.measures["guarded"] = 100.0 * float(((guard[:, 0] > 0.0) & (guard[:, 2] < 1.0)).mean())
     age = signals.rows[AGE][:, signals.names[AGE].index(topics.RAW_FRAMES.strip("/").replace("/", "."))]
-    lost = lost_fraction(signals.rows[TRACKER][:, 0], age)
+    lost = lost_fraction(signals.rows[TRACKER][by_hand, 0], age[by_hand])
     if lost is not None:
         found.measures["lost"] = 100.0 * lost
 

@@ -2,6 +2,7 @@
 
 /observation.flange_force ...   {"x": 1.0, ...} by the names; their unit is the schema's description
 /observation.images.color       foxglove.CompressedImage, PNG
+/policy_led, /intervention     {"policy_led": true}: who gave the action of the row
 metadata `episode`              task, first and last row [ns], and what its label says
 attachment leap_rig.json        units, and where each episode comes from"""
 
@@ -57,6 +58,10 @@ def _channels(writer: Any, one: ExportedEpisode, units: Mapping[str, str]) -> di
         schema = {"type": "object", "description": units[key], "properties": properties}
         kind = writer.register_schema(key, "jsonschema", json.dumps(schema).encode())
         channels[key] = writer.register_channel(f"/{key}", "json", kind)
+    for key in one.leader:
+        schema = {"type": "object", "properties": {key: {"type": "boolean"}}}
+        kind = writer.register_schema(key, "jsonschema", json.dumps(schema).encode())
+        channels[key] = writer.register_channel(f"/{key}", "json", kind)
     return channels
 
 
@@ -68,6 +73,8 @@ def _write(writer: Any, channels: Mapping[str, int], one: ExportedEpisode) -> No
     for i, time in enumerate(times):
         for key, rows in vectors.items():
             _add(writer, channels[key], time, dict(zip(one.features[key]["names"], rows[i].tolist())))
+        for key, rows in one.leader.items():
+            _add(writer, channels[key], time, {key: bool(rows[i])})
         for key, of in images.items():
             packed = cv2.imencode(".png", cv2.cvtColor(next(of), cv2.COLOR_RGB2BGR))[1].tobytes()
             stamp = {"sec": time // 10**9, "nsec": time % 10**9}
