@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from functools import partial
 
 import numpy as np
@@ -27,6 +28,7 @@ from simulated.wires import virtual_wires
 
 PROBES = {"getPin3", "getJointsPositions"}
 CYCLE_S = 0.004
+ARM_KEYS = {field.name for field in dataclasses.fields(ArmSettings)}
 SOFT = SoftSettings(500.0, 100.0, 0.7, 40.0, 20.0, 0.2)
 GROUP = "robot"
 ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
@@ -41,14 +43,15 @@ class Bench:
         goals: when servo goals were sent [s].
     """
 
-    def __init__(self, scheduler, wires, application=None, **arm):
+    def __init__(self, scheduler, wires, application=None, **changes):
+        arm = {key: changes.pop(key) for key in ARM_KEYS & changes.keys()}
         self.scheduler = scheduler
         self.robot = SimulatedArm(ROBOT, ArmSettings(**arm))
         with scheduler.in_group(GROUP):
             kind = SunriseServer if application is None else LeapRigServer
             self.server = kind(self.robot, ServerSettings(), "127.0.0.1", 0, 0)
             clock.Thread(target=self.server.run, name="robot", daemon=True).start()
-        settings, self.rig = rig(RealTimeConfig, time_out=5.0)
+        settings, self.rig = rig(RealTimeConfig, time_out=5.0, **changes)
         tool = ToolTransform(self.rig.T_flange_tool)
         self.client = KstClient.connect("127.0.0.1", self.server.port, tool, application=application)
         _, self.up, self.down = wires.connections[0]
@@ -66,6 +69,7 @@ class Bench:
         self.paused, self.stop_because = False, "control is off"
         self.soft = False
         self.hand = True  # whether the operator has one
+        self.wanted = None  # where a hand that is held still wants the tool, shape (4, 4) [m]
         self.move = None  # that a program asks for
 
     def freeze(self, *spans):
@@ -113,7 +117,7 @@ class Bench:
 
     def inputs(self):
         now = clock.monotonic()
-        T = shifted(0.0, 0.03 * np.sin(0.8 * now), 0.0)
+        T = shifted(0.0, 0.03 * np.sin(0.8 * now), 0.0) if self.wanted is None else self.wanted
         # The operator brings the hand in when the arm is at home, as the status asks for.
         shown = self.hand and self.mode in ("home", "pick_up", "servo")
         desired = DesiredFrame(T, CLOCK + round(now, 2)) if shown else None
@@ -149,7 +153,8 @@ class Bench:
 
 
 @contextlib.contextmanager
-def bench(seed=0, application=None, **arm):
-    """A bench in virtual time; `application`: on the robot's controller, None: the toolbox's; `arm`: its settings."""
+def bench(seed=0, application=None, **changes):
+    """A bench in virtual time; `application`: on the robot's controller, None: the toolbox's; `changes`: settings of
+    the arm, and parameters of its controller."""
     with virtual_wires(seed) as wires:
-        yield Bench(wires.scheduler, wires, application, **arm)
+        yield Bench(wires.scheduler, wires, application, **changes)

@@ -180,6 +180,7 @@ class World:
         self.enable_count = 0
         self.exit_requested, self.exit_in_place = False, None
         self.scale = 1.0
+        self.stop_count = 0  # how often the enabling device was released
         self.tool = None
         self.clock, self.skew = CLOCK, 0.0  # the wall clock at the start, and how far stamps are ahead of it [s]
         self.conflict = None
@@ -206,7 +207,8 @@ class World:
                 stamp, hand = self.clock + self.now + self.skew, self.engagement
                 self.newest = DesiredFrame(T, stamp, self.conflict, foreign=self.foreign, engagement=hand)
             exits = {"exit_requested": self.exit_requested, "exit_in_place": self.exit_in_place}
-            switches = SwitchState(self.control_on, self.enable_count, scale=self.scale, **exits)
+            stop = {"stop_count": self.stop_count, "stop_because": "the enabling device was released"}
+            switches = SwitchState(self.control_on, self.enable_count, scale=self.scale, **exits, **stop)
             inputs = Inputs(self.newest, self.clock + self.now, switches, self.move, self.missing)
             step = self.controller.cycle(inputs, self.now)
             self.events += [e.sentence for e in step.events]

@@ -240,6 +240,25 @@ def test_a_line_planned_from_elsewhere_is_refused():
     refused(world, "no longer where the line begins")
 
 
+def test_a_released_enabling_device_brakes_a_line_and_control_off_and_on_brings_the_arm_home():
+    world = World().at_home()
+    world.control_on = True
+    world.ask(shifted(0.1, 0.05, 0.05), straight=True).until_state(State.LINE).run(0.4)
+    before = len(world.arm.goals)
+    world.stop_count += 1
+    world.run(0.5)
+    assert world.state is State.STOPPED and world.progress.state is MoveState.ABORTED
+    assert "The line ends: the enabling device was released." in world.progress.sentence
+    speeds = np.linalg.norm(np.diff(world.arm.goals[before - 1 :], axis=0), axis=1) / DT
+    assert len(speeds) > 4 and speeds[0] > 0.1 and np.all(np.diff(speeds) < 1e-3) and speeds[-1] < 0.01, "it brakes"
+    goals, world.move = len(world.arm.goals), None
+    world.ask(shifted(0.0, 0.0, 0.0), straight=True).run(1.0)
+    assert len(world.arm.goals) == goals and world.progress.state is MoveState.REFUSED, "nothing moves"
+    world.control_on = False
+    world.run(0.1).control_on = True
+    world.until("home", 5.0)
+
+
 def test_a_line_whose_goals_wait_in_a_stall_continues_and_stays_on_the_line():
     world = at_home().ask(shifted(0.0, 0.05, 0.1), straight=True, velocity=0.3)
     world.run(0.3)

@@ -265,6 +265,10 @@ def let_go(world):
     world.arm.goal = world.arm.q
 
 
+def release(world):
+    world.stop_count += 1
+
+
 LINE = shifted(0.1, 0.0, 0.05)
 
 # How a state is reached: the state before, what happens there, and the desired tool frame from then on.
@@ -306,6 +310,7 @@ EVENTS = {
     Trigger.LAG: (hold, lambda t: shifted(0.1, 0.05 * t, 0.0)),
     Trigger.DISBELIEVED: (measure_wrongly, None),
     Trigger.STOPPED: (lambda world: setattr(world.arm, "stopped", "a safety stop, STOP1"), None),
+    Trigger.STOP_ASKED: (after_a_while(release), None),
     Trigger.CONTACT: (touch, None),
     Trigger.BLOCKED: (block_and_disable, None),
     Trigger.EXIT_BLOCKED: (leave_while_blocked, None),
@@ -354,6 +359,7 @@ PATH_FOR = {
     (State.BRAKING, Trigger.AT_REST): (State.SERVO, leave_while_moving, None),
     (State.LINE_BRAKING, Trigger.LAG): (State.LINE, hold_then_cancel, None),
     (State.BRAKING, Trigger.AT_REST_TO_STOP): (State.SERVO, fail_while_moving, None),
+    (State.LINE_BRAKING, Trigger.AT_REST_TO_STOP): (State.LINE, after_a_while(release), None),
 }
 """How a state is reached for one trigger."""
 BEFORE = {

@@ -18,7 +18,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from common.ros import sentence_writer
-from kuka_control.model.switches import Switches
+from kuka_control.model.switches import Switches, SwitchReply
 from kuka_control.ros import emergency
 from kuka_control.ros.services import Services
 from leap_rig.cockpit.control import FRESH_S, HeldSwitches
@@ -122,18 +122,28 @@ def controller(virtual_graph, monkeypatch):
 
     def main():
         rospy.init_node("controller")
-        Services(switches, pausable=True)
+        Services(switches, pausable=True, guide=guide)
         status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
         while not rospy.is_shutdown():
             now = switches.now
-            shown = {"control_on": now.control_on, "robot_abilities": node.abilities, "paused": now.paused}
+            shown = {
+                "control_on": now.control_on,
+                "robot_abilities": node.abilities,
+                "paused": now.paused,
+                "guided": node.guided,
+            }
             status.publish(KukaStatus(host=node.host, pid=node.number, mode="home", **shown))
             clock.sleep(0.05)
+
+    def guide(on):
+        node.guided = on
+        return SwitchReply(True, "A hand may move the arm." if on else "Hand guiding has ended.")
 
     switches = Switches()
     switches.report("home", None)
     node = virtual_graph.start("controller", main)
     node.switches, node.host, node.number, node.abilities = switches, socket.gethostname(), 10**7, []
+    node.guided = False
     monkeypatch.setattr(emergency, "_is_controller", lambda pid: pid == node.number)
     runs = lambda pid: pid == node.number and node.poll() is None  # noqa: E731
     monkeypatch.setattr(emergency, "_start_of", lambda pid: 0 if runs(pid) else None)
@@ -205,6 +215,17 @@ def test_a_page_pauses_a_motion_where_the_robot_can(pages, controller):
         pages.obey(PageCommand("pause", "", on))
         pages.wait(lambda on=on: pages.shown["arms"][""]["paused"] is on, 5.0, "the pause")
     pages.wait(lambda: any("The motion continues" in text for text in pages.said), 5.0, "the answer")
+
+
+def test_a_page_lets_a_hand_guide_the_arm_where_the_robot_can(pages, controller):
+    open_page(pages)
+    assert not pages.shown["arms"][""]["guides"]
+    controller.abilities = ["guide", "stop"]
+    pages.wait(lambda: pages.shown["arms"][""]["guides"], 5.0, "the button")
+    for on in (True, False):
+        pages.obey(PageCommand("guide", "", on))
+        pages.wait(lambda on=on: pages.shown["arms"][""]["guided"] is on, 5.0, "the guiding")
+    pages.wait(lambda: any("Hand guiding has ended." in text for text in pages.said), 5.0, "the answer")
 
 
 def test_what_waits_in_the_node_when_a_page_stops_the_arm_is_dropped(pages, controller, stand):

@@ -203,6 +203,22 @@ def test_in_a_crowd_a_page_sees_all_and_stops_when_it_comes_back_with_its_key(pa
         page.until(lambda: page.stops)
 
 
+def test_hand_guiding_is_offered_where_the_robot_can_and_pressed_while_it_runs(page):
+    page.enter()
+    page("$('take').click()")
+    hidden = "document.querySelector('.guide').offsetParent === null"
+    page.until(lambda: page.server.live and page(hidden))
+    page.changes.update(guides=True, guided=False)
+    page.until(lambda: not page(hidden) and page("!document.querySelector('.guide').disabled"))
+    for on in (True, False):
+        page("document.querySelector('.guide').click()")
+        page.until(lambda on=on: ("guide", on) in [(each.name, each.value) for each in page.obeyed])
+        page.changes["guided"] = on
+        page.until(
+            lambda on=on: page("document.querySelector('.guide').getAttribute('aria-pressed')") == str(on).lower()
+        )
+
+
 def test_the_operator_is_chosen_while_the_gripper_is_off_and_marks_have_a_text(page):
     page.enter()
     page("$('take').click()")

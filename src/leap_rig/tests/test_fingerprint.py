@@ -106,7 +106,8 @@ def test_every_parameter_is_compared_or_left_out_on_purpose():
         "ip", "port", "time_out", "home_pos", "use_home_pos", "named_positions", "rate_joints", "rate_state",
         "rate_servo", "servo_law", "joints_thresh", "ptp_contact_torque", "flange_force_raw", "robot_server",
         "watchdog_brake", "watchdog_end", "compliance", "soft_stiffness", "soft_turning_stiffness", "soft_damping",
-        "soft_force", "soft_moment", "soft_path",
+        "soft_force", "soft_moment", "soft_path", "admittance", "admittance_mass", "admittance_damping",
+        "admittance_stiffness", "admittance_contact", "admittance_path",
     }  # fmt: skip
 
 
@@ -119,6 +120,8 @@ def test_no_parameter_that_is_left_out_moves_a_joint_elsewhere_on_a_recorded_pat
         "ptp_contact_torque": 5.0, "flange_force_raw": True, "robot_server": "leap_rig", "watchdog_brake": 0.5,
         "watchdog_end": 20.0, "compliance": "soft", "soft_stiffness": 100.0, "soft_turning_stiffness": 10.0,
         "soft_damping": 0.5, "soft_force": 10.0, "soft_moment": 5.0, "soft_path": 0.1,
+        "admittance": False, "admittance_mass": 9.0, "admittance_damping": 2000.0, "admittance_stiffness": 300.0,
+        "admittance_contact": 1000.0, "admittance_path": 0.02,
         "home_pos": [-30.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0], "elbow_preference": 60.0,
     }  # fmt: skip
 

@@ -83,6 +83,11 @@ The simulated arm has lost half of its speed 20 to 55 ms after its last goal, wi
 at full speed after 50 ms make a tool of 0.4 m/s exceed 0.8 m/s, at which the robot's controller stops it."""
 SLACK_M: Final = 1e-3  # the path to a stop may lead this far out of the workspace: at curved bounds it is straight
 
+# The admittance.
+FORCE_OLD_S: Final = 0.1  # a force older than this is not known; the toolbox tells one every 0.04 s in servo mode
+FORCE_DELAY_S: Final = 0.12  # from a displacement until the force that comes of it is known, at most: 0.04 s between
+# forces, 0.02 s between frames, the lag of the limited goals, of the drives, and of the link
+
 # The collision guard; what each distance means: docs/handbook/collision-guard.md.
 APPROACH_M_S2: Final = 2.0  # deceleration with which an approach is planned; the jerk limit and the wrist allow more
 SOFT_M: Final = 0.003  # an approach ends so far before the margin, so that the tool can slide there

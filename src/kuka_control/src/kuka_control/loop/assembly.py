@@ -42,7 +42,7 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     speeds, ranges = rig.model.max_speed, ptp_torque_ranges(config, rig)
     settings = RealTimeSettings(
         *(rig.ptp_velocity, rig.home.q, speeds, config.time_out, slow, fast, guard, ranges),
-        *(config.servo_law, goals, rig.carried),
+        *(config.servo_law, goals, rig.carried, None if config.gives_way is None else (config.gives_way, rig.load)),
     )
     return RealTimeLoop(settings, rig.chain, motion_limits(config, rig, guard) if goals.shaped else Unlimited())
 

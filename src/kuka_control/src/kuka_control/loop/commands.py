@@ -39,6 +39,9 @@ class Observation:
     paused: bool = False  # whether the robot has paused the PTP motion
     contact: str | None = None  # what the arm felt that ended the last PTP motion before its goal
     age: float = math.inf  # so much older at most were the joints that were measured before [s]
+    force: np.ndarray | None = None  # the newest force at the tool point, in its axes, shape (3,) [N]
+    force_age: float = math.inf  # so old it is at most [s]
+    reckoned: tuple[bool, float] = (False, 0.0)  # of the weight, as Arm.reckoned
 
 
 @dataclass(frozen=True)

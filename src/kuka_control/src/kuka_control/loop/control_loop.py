@@ -39,6 +39,7 @@ from kuka_control.loop.commands import (
     StopPtp,
     Wait,
 )
+from kuka_control.loop.giving_way import GivingWay
 from kuka_control.loop.goal_stream import SETTLED_RAD, TOLERANCE_RAD, GoalStream, GoalStreamSettings, ServoStream
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.pending_check import ALLOWED, PathVerdict, PendingCheck
@@ -56,10 +57,12 @@ from kuka_control.loop.transitions import (
     Trigger,
     transitions_among,
 )
+from kuka_control.model.admittance import AdmittanceSettings
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import IN_DOUBT, ExitInPlace, SwitchState
-from kuka_control.model.target import MotionScaling, Target, TargetChain
+from kuka_control.model.target import NO_OFFSET, MotionScaling, Target, TargetChain
+from kuka_control.model.tool_load import ToolLoad
 from kuka_control.model.workspace import Infeasible
 from kuka_control.numbers import EXIT_PATIENCE_S, HAND_S, HOLD_HZ, TEST_MOTIONS
 
@@ -185,6 +188,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._doubt: tuple[np.ndarray, np.ndarray] | None = None  # where the arm stands whose joints are not believed
         self._target_stamp = 0.0
         self._scaling = MotionScaling()
+        self._yielded = NO_OFFSET  # how far the tool that follows gives way to a force, shape (3,) [m]
         self._soft = False  # whether the servo mode is, so that forces may move the arm off its goals
         self._position = np.zeros(3)  # of the newest desired tool frame that the arm was to go to, shape (3,) [m]
         self._unreachable: str | None = None
@@ -554,7 +558,8 @@ class ControlLoop(ABC, Generic[Settings]):
         before = self._target if servo and not rests else None
         dt = fresh.stamp - self._target_stamp
         self._position = fresh.T_base_tool[:3, 3]
-        target = self._chain.resolve(fresh.T_base_tool, self._scaling, q_seed, before, dt)
+        scaling = MotionScaling(self._scaling.factor, self._scaling.offset + self._yielded) if servo else self._scaling
+        target = self._chain.resolve(fresh.T_base_tool, scaling, q_seed, before, dt)
         if isinstance(target, Infeasible):
             self._infeasible = f"The controller shuts down because of the desired tool frame: {target}."
             self._report("error", self._infeasible)
@@ -604,6 +609,7 @@ class RealTimeSettings(LoopSettings):
     servo_law: str  # law of the robot's servo loop that the goals are to be made for, "auto", "lts" or "none"
     goals: GoalStreamSettings  # the settings of the stream of goals
     carried: Callable[[Opening | None], Iterable[Ball]]  # what the flange carries at an opening of the hand
+    gives_way: tuple[AdmittanceSettings, ToolLoad] | None  # how the tool that follows yields to a force; None: not
 
 
 class RealTimeLoop(ControlLoop[RealTimeSettings]):
@@ -618,6 +624,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
     def __init__(self, settings: RealTimeSettings, chain: TargetChain, limits: MotionLimits | Unlimited) -> None:
         super().__init__(settings, chain)
         self._limits = limits
+        self._way = None if settings.gives_way is None else GivingWay(*settings.gives_way)
         self._law: ServoLawVerdict | None = None
         self._test_motions = 0
         self._handlers.update(
@@ -691,6 +698,9 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             lts = self._law is not None and self._law.lts and not self._soft
             stream = GoalStream(self._settings.goals, self._limits, lts, joints, cycle.now)
             self._active = replace(self._active, data=stream)
+            self._yielded = NO_OFFSET
+            if self._way is not None:
+                self._way.begin(cycle.now)
         goals: GoalStream = self._active.data
         lag = self._lag(goals, cycle)
         if lag is not None:
@@ -699,6 +709,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         if cycle.fresh is not None:
             stall = goals.hear(cycle.fresh, cycle.now)
             self._admission.hear_rate(goals.too_rare)
+            self._give_way(cycle)
             q = self._resolve(cycle.fresh, goals.q_target)
             if self._infeasible is not None:
                 return Fired(Trigger.INFEASIBLE, self._infeasible)
@@ -711,10 +722,24 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         except GuardError as error:
             return Fired(Trigger.GUARD_FAILED, str(error))
 
+    def _give_way(self, cycle: Cycle) -> None:
+        """Displaces the tool that follows by what a force asks for; of a soft one the robot sees to that."""
+        if self._way is not None and not self._soft:
+            said = self._way.why_not
+            self._yielded = self._way.step(cycle.observation, cycle.now)
+            if self._way.why_not is not None and said is None:
+                self._report("warn", self._way.why_not)
+
+    def _held_back(self) -> str | None:
+        gives = self._way is not None and self._active.state is State.SERVO and not self._soft
+        return super()._held_back() or (self._way.says if self._way is not None and gives else None)
+
     def _line(self, cycle: Cycle) -> Outcome:
         switched = self._switched(cycle)
         if switched is not None:
             return switched
+        if cycle.switches.stop_count != self._active.stop_count:
+            return Fired(Trigger.STOP_ASKED, cycle.switches.stop_because)
         if self._program.cancelled:
             return Fired(Trigger.CANCELLED)
         joints = cycle.observation.joints

@@ -187,6 +187,8 @@ class Controller:
         self._silent = 0.0  # how long the present hold has lasted [s]
         self._joints = arm.measured_joints  # the newest
         self._read_from = self._cycle_from = -math.inf  # they were measured after this; when the last cycle began [s]
+        self._force: np.ndarray | None = None  # the newest, and the begin of the cycle in which it was read [s]
+        self._force_from = -math.inf
         self._step: Step | None = None
 
     def cycle(self, inputs: Inputs, now: float) -> Step:
@@ -214,8 +216,11 @@ class Controller:
             delay = self._arm.round_trip or 0.0
             age, self._read_from = now + min(delay, WAIT_S) - self._read_from, before - delay
         stops = "stop" in self._arm.abilities
+        if self._arm.state.force is not self._force:
+            self._force, self._force_from = self._arm.state.force, before - (self._arm.round_trip or 0.0)
         observation = Observation(
-            joints, inputs, not self.moving, refused, stopped, stops, self._arm.state.paused, contact, age
+            *(joints, inputs, not self.moving, refused, stopped, stops, self._arm.state.paused, contact, age),
+            *(self._force, now - self._force_from, self._arm.reckoned),
         )
         step = self._loop.step(observation, now)
         try:

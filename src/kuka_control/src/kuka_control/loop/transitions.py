@@ -90,6 +90,7 @@ class Trigger(Enum):
     DISBELIEVED = "the measured joints cannot be true"
     REFUSED = "refused by the robot"
     STOPPED = "the robot has stopped the arm"
+    STOP_ASKED = "the enabling device is released"
     CONTACT = "a joint torque has ended the motion"
     BLOCKED = "a body is in the way of the motion"
     EXIT_BLOCKED = "exit_app, and the arm stays: a body is in the way, it touched one, or its joints are not believed"
@@ -204,6 +205,10 @@ TRANSITIONS = (
     Transition((_S.LINE,), _T.CONTROL_WAS_OFF, _S.LINE_BRAKING, _A.DECIDE, "Control was off."),
     Transition((_S.LINE,), _T.EXIT, _S.LINE_BRAKING, _A.DECIDE, "The controller is to exit."),
     Transition((_S.LINE_BRAKING,), _T.AT_REST, _S.AT_GOAL, _A.STOP_SERVO, "{because}"),
+    Transition(
+        (_S.LINE,), _T.STOP_ASKED, _S.LINE_BRAKING, _A.DECIDE, "The line ends: {detail}.", at_rest=_T.AT_REST_TO_STOP
+    ),
+    Transition((_S.LINE_BRAKING,), _T.AT_REST_TO_STOP, _S.STOPPED, _A.STOP_SERVO, "{because}"),
     # Back home, or to the zero position and the end.
     Transition((_S.RETURN_PENDING,), _T.SERVO_ENDED, _S.RETURNING, _A.PTP, "{because}"),
     Transition((*_AWAY, _S.AT_GOAL), _T.CONTROL_OFF, _S.RETURNING, _A.PTP, "Control is off."),

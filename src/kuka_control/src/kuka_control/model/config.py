@@ -15,11 +15,13 @@ from common.config import choice, flag, integer, names, number, parse, path, tex
 from common.mounting import ToolConfig, mounting_field
 from common.simulated import simulated_field
 from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, DhParameters, robot_model
+from kuka_control.model.admittance import AdmittanceSettings, stability_fault
 from kuka_control.model.workspace import workspace_faults
 
 UPLOADED = ("ws_center", "joints_home", "rotation_home", "running")  # keys under `kuka/` that a controller writes
 MAX_LENGTH_MM = 5.0  # a larger deviation is a wrong measurement, or the file has another unit or convention
 MAX_ANGLE_DEG = 1.0  # likewise
+MOST_DAMPING = 5000.0  # [Ns/m]
 OPTIONS = ("robot", "flange", "ip", "port", "tool_length")  # keys that may be given as options too
 
 
@@ -178,6 +180,21 @@ class RealTimeConfig(ControllerConfig):
     soft_path: float = number(
         "m", low=0.001, high=0.5, absent=0.2, doc="servo mode ends where the tool is farther from its path"
     )
+    admittance: bool = flag(
+        "whether a stiff tool that follows gives way to kuka/flange_force; needs tool_mass, and shaping ruckig",
+        absent=False,
+    )
+    admittance_mass: float = number("kg", low=1.0, high=50.0, absent=8.0, doc="of what gives way")
+    admittance_damping: float = number(
+        "Ns/m", low=50.0, high=MOST_DAMPING, absent=1200.0, doc="of what gives way; too little swings at a stiff body"
+    )
+    admittance_stiffness: float = number(
+        "N/m", low=50.0, high=5000.0, absent=500.0, doc="of the spring that brings the tool back"
+    )
+    admittance_contact: float = number(
+        "N/m", low=100.0, high=1e5, absent=10000.0, doc="of the stiffest body that the tool may touch"
+    )
+    admittance_path: float = number("m", low=0.001, high=0.2, absent=0.05, doc="farthest that the tool gives way")
     joint_jerk: float = number("rad/s^3", low=20.0, high=2000.0, doc="limit of the stream, slowest joint")
 
     @staticmethod
@@ -191,7 +208,32 @@ class RealTimeConfig(ControllerConfig):
             faults.append("compliance is soft, but the toolbox knows stiff only; set robot_server to leap_rig.")
         elif read.get("compliance") == "soft" and read.get("tool_mass") == 0.0:
             faults.append("compliance is soft, but tool_mass is 0: a soft arm would sink; say what is on the flange.")
-        return faults
+        return faults + (_admittance_faults(read) if read.get("admittance") else [])
+
+    @property
+    def gives_way(self) -> AdmittanceSettings | None:
+        """How the tool gives way to a force; None: it does not."""
+        return _admittance(vars(self)) if self.admittance else None
+
+
+def _admittance(read: Mapping[str, Any]) -> AdmittanceSettings:
+    mass, damping, stiffness, path = (read[f"admittance_{key}"] for key in ("mass", "damping", "stiffness", "path"))
+    return AdmittanceSettings(mass, damping, stiffness, farthest=path)
+
+
+def _admittance_faults(read: Mapping[str, Any]) -> list[str]:
+    faults = []
+    if read.get("compliance") == "soft":
+        faults.append("admittance is true, but compliance is soft; use one of them.")
+    if read.get("tool_mass") == 0.0:
+        faults.append("admittance is true, but tool_mass is 0: its weight would count as a force; say what it is.")
+    if read.get("shaping") == "none":
+        faults.append("admittance is true, but shaping is none; use shaping ruckig.")
+    numbers = {f"admittance_{key}" for key in ("mass", "damping", "stiffness", "path", "contact")}
+    if numbers <= read.keys():
+        swings = stability_fault(_admittance(read), read["admittance_contact"], MOST_DAMPING)
+        faults += [] if swings is None else [swings]
+    return faults
 
 
 @dataclass(frozen=True)

@@ -241,7 +241,8 @@ class _Node:
         stops = config.robot_server == "leap_rig"
         softens = stops and isinstance(config, RealTimeConfig)
         unknown = None if config.tool_mass > 0.0 else "tool_mass is 0, and the arm would sink"
-        self._switches = Switches(getattr(config, "compliance", "stiff") == "soft", unknown)
+        stiff = "admittance is true" if getattr(config, "admittance", False) else unknown
+        self._switches = Switches(getattr(config, "compliance", "stiff") == "soft", stiff)
         self._rest_period = min(1.0 / config.rate_joints, LONGEST_PERIOD_S)
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
         self._state = StatePublisher(rig, config, link.goals, frames)

@@ -12,12 +12,12 @@ from leap_kuka.arm_choice import BOTH
 from leap_rig.cockpit.control import CLUTCH, ENABLE
 
 STOP, TAKE, GIVE, BEAT, SECRET = "stop", "take", "give", "beat", "secret"
-CONTROL, GRIPPER, SCALING, EXIT, PAUSE = "control", "gripper", "scaling", "exit", "pause"
+CONTROL, GRIPPER, SCALING, EXIT, PAUSE, GUIDE = "control", "gripper", "scaling", "exit", "pause", "guide"
 RECORD, MARK, TUTORIAL, OPERATOR, CHOOSE = "record", "mark", "tutorial", "operator", "choose"
 MARKS = ("begin", "success", "failure")
 MOST_LETTERS = 200  # of the text beside a mark, and of an operator's name
-FLAGS = (CONTROL, PAUSE, GRIPPER, RECORD, TUTORIAL)
-OF_AN_ARM = (CONTROL, PAUSE, GRIPPER, SCALING, EXIT, OPERATOR)
+FLAGS = (CONTROL, PAUSE, GUIDE, GRIPPER, RECORD, TUTORIAL)
+OF_AN_ARM = (CONTROL, PAUSE, GUIDE, GRIPPER, SCALING, EXIT, OPERATOR)
 
 
 class PageMessageFault(ValueError):

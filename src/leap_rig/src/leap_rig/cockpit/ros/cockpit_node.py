@@ -46,6 +46,7 @@ from leap_rig.cockpit.messages import (
     CONTROL,
     EXIT,
     GRIPPER,
+    GUIDE,
     MARK,
     OPERATOR,
     PAUSE,
@@ -361,7 +362,7 @@ class Cockpit:
         with self._asking:  # a stop comes before or after it
             if came <= self._stopped:
                 return
-            if command.name in (CONTROL, PAUSE, GRIPPER, SCALING, EXIT):
+            if command.name in (CONTROL, PAUSE, GUIDE, GRIPPER, SCALING, EXIT):
                 self._ask_controller(self._arms[command.arm].link, command)
                 return
         if command.name == RECORD:
@@ -380,8 +381,11 @@ class Cockpit:
         if command.name == EXIT:
             link.ask_exit()
         else:
-            asks = {CONTROL: link.ask_control, PAUSE: link.ask_pause, GRIPPER: link.ask_gripper}
-            asks.get(command.name, link.ask_scaling)(command.value)
+            asks = {
+                **{CONTROL: link.ask_control, PAUSE: link.ask_pause, GUIDE: link.ask_guide},
+                **{GRIPPER: link.ask_gripper, SCALING: link.ask_scaling},
+            }
+            asks[command.name](command.value)
 
     def _record(self, on: bool) -> None:
         if on and not self._recorder.runs:
