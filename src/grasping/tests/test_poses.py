@@ -206,6 +206,28 @@ def test_before_a_tilted_camera_a_bar_that_lies_askew_is_grasped_across_it():
     np.testing.assert_allclose(scalars[1::2, 3:6], [[-np.sin(0.3), 0.0, np.cos(0.3)]] * len(straight), atol=1e-5)
 
 
+def test_at_the_fingers_each_point_is_compared_with_the_pixel_that_it_falls_on():
+    of = bar_image(tilt=0.2, turned=0.3, beside=True)
+    tried = of_turns(of, *TURNS)
+    T, step = tried.T, 0.5 * np.array(hand_view.BETWEEN)
+    along, down = GRIPPER.breadth * np.array(hand_view.ALONG), GRIPPER.reach + np.array(hand_view.DOWN_M)
+    local = np.stack(
+        np.broadcast_arrays(
+            (tried.opening[:, None] * step)[:, :, None, None], along[None, None, :, None], down[None, None, None, :]
+        ),
+        axis=-1,
+    )
+    points = np.einsum("nij,nabcj->nabci", T[:, :3, :3], local) + T[:, None, None, None, :3, 3]
+    rows, columns, _ = hypotheses.pixels_of(points, of.image, of.camera)
+    behind = np.clip((points[..., 2] - of.image.depth[rows, columns]) / hand_view.NEAR_M, -1.0, 1.0)
+    beside = len(hand_view.BESIDE)
+    found = near_fingers(seen(of, tried))[:, beside:-beside].reshape(behind.shape)
+    above = of.frame.distance - (points @ of.frame.R[:, 2]).max(axis=(1, 2, 3)) > GRIPPER.ground
+    assert above.sum() > 100
+    # At the edge of a pixel rounding decides.
+    assert (np.abs(found - behind)[above] > 1e-3).mean() < 1e-3
+
+
 def test_features_are_finite_and_bounded_even_outside_the_image():
     of = bar_image()
     tried = of_turns(of, *TURNS)

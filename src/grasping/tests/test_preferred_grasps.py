@@ -117,6 +117,14 @@ def test_a_tilt_that_costs_lifts_is_taken_as_far_as_it_costs_no_more_than_a_poin
     assert max(tilts[:2]) < 0.1 and all(wanted[0] <= tilt <= wanted[1] for tilt in tilts[2:])
 
 
+def test_few_episodes_leave_the_choice_to_the_safest_where_the_wanted_tilt_costs_two_points():
+    tilts = []
+    for liked in (0.01, 30.0):
+        found = look(preferring(leaning(0.4, right=liked), lifts=Lifts(by_tilt=4.6)))
+        tilts.append(float(np.arccos(seen_from_above(found)[2, 2])))
+    assert tilts[0] < 0.32 and tilts[1] == pytest.approx(0.4, abs=0.05)
+
+
 def test_another_kind_of_object_is_preferred_otherwise_from_the_next_image_on():
     of = preferring(leaning(0.2, height=0.01))
     look(of, images=3)

@@ -25,8 +25,11 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
     corners = rays[triples]
     sound = np.abs(np.linalg.det(corners)) > 1e-12
     planes = np.linalg.solve(corners[sound], w[triples[sound]][..., None])[..., 0]
-    squares = np.minimum(np.square(planes @ rays.T - w), (GATE_SD * noise) ** 2)
-    weights = (squares[np.argmin(squares.sum(axis=1))] < (GATE_SD * noise) ** 2).astype(float)
+    errors = planes.astype(np.float32) @ rays.T.astype(np.float32)
+    errors -= w.astype(np.float32)
+    gate = np.float32((GATE_SD * noise) ** 2)
+    squares = np.minimum(np.square(errors, out=errors), gate, out=errors)
+    weights = (squares[np.argmin(squares.sum(axis=1))] < gate).astype(float)
     for _ in range(rounds):
         a = np.linalg.solve((rays * weights[:, None]).T @ rays, (rays * weights[:, None]).T @ w)
         error = np.subtract(w, rays @ a)

@@ -135,6 +135,13 @@ def level_frame(image: NetworkImage, rays: np.ndarray) -> LevelFrame:
     return LevelFrame(np.column_stack([x, cross(z, x), z]), plane.distance)
 
 
+def heights(image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
+    """Returns how high above the table the pixels' points are, shape (h, w) [m]."""
+    rays = image_rays(image, camera)
+    found: np.ndarray = frame.distance - image.depth * (rays.reshape(-1, 3) @ frame.R[:, 2]).reshape(rays.shape[:2])
+    return found
+
+
 def image_rays(image: NetworkImage, camera: CameraModel) -> np.ndarray:
     """Returns the rays x, y, 1 of the network's image's pixels before an undistorted camera, shape (h, w, 3), not to be
     written."""
@@ -149,18 +156,18 @@ def _rays(side: int, crop: Crop, fx: float, _: float, cx: float, __: float, fy: 
     return read_only(np.stack([x, y, np.ones_like(x)], axis=-1))
 
 
-class _Object(NamedTuple):
-    """An object's outline on the table."""
+class _Objects(NamedTuple):
+    """The outlines of n objects on the table."""
 
-    middle: np.ndarray  # shape (2,) [m]
-    axis: np.ndarray  # unit vector along it, towards its lighter end, shape (2,)
-    length: float  # half of it [m]
-    width: float  # likewise
-    long: float  # 0 is round, 1 a line
-    uneven: float  # how much its ends differ, 0 to 1
-    bulk: np.ndarray  # shape (2,) [m]
-    thick: float  # thickness of the bulk [px]
-    top: float  # height above the table [m]
+    middle: np.ndarray  # shape (n, 2) [m]
+    axis: np.ndarray  # unit vectors along them, towards their lighter ends, shape (n, 2)
+    length: np.ndarray  # half of it, shape (n,) [m]
+    width: np.ndarray  # likewise
+    long: np.ndarray  # 0 is round, 1 a line
+    uneven: np.ndarray  # how much their ends differ, 0 to 1
+    bulk: np.ndarray  # shape (n, 2) [m]
+    thick: np.ndarray  # thickness of the bulk [px]
+    top: np.ndarray  # height above the table [m]
 
 
 def described(
@@ -178,62 +185,71 @@ def described(
     lowest_m = -0.01  # heights beyond are holes badly filled, or the arm
     highest_m = 0.25
     rays = image_rays(image, camera)
-    points = (image.depth[..., None] * rays) @ frame.R
-    height = np.clip(cv2.medianBlur((frame.distance - points[..., 2]).astype(np.float32), 5), lowest_m, highest_m)
+    seen_height = heights(image, camera, frame).astype(np.float32)
+    height = np.clip(cv2.medianBlur(seen_height, 5), lowest_m, highest_m)
     pixel_m = image.crop.side / len(image.depth) * image.mean / camera.K[0, 0]
     mask = cv2.morphologyEx((height > object_m).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     thickness = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
-    nearest, objects = _objects(mask, thickness, points, height)
-    reach = max(1, round(rim_m / pixel_m))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    around = cv2.filter2D(mask.astype(np.float32), -1, disc / np.float32(disc.sum()))
-    smooth = gaussian(np.clip(height, 0.0, None), eye_m / pixel_m)
-    down, right = (np.gradient(smooth, pixel_m, axis=axis) for axis in (0, 1))
+    nearest, objects = _objects(mask, thickness, height, image.depth, rays, frame)
     at = np.array([(p.row, p.column) for p in grasps], int).reshape(-1, 2)
     rows, columns = at[:, 0], at[:, 1]
-    steep = 1.0 + np.hypot(down[rows, columns], right[rows, columns])
-    z = cv2.medianBlur(image.depth.astype(np.float32), 5)[rows, columns]
+    reach, eye_px = max(1, round(rim_m / pixel_m)), eye_m / pixel_m
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    window, inside = _window(at, reach + 2, mask.shape)
+    around = cv2.filter2D(mask[window].astype(np.float32), -1, disc / np.float32(disc.sum()))[inside]
+    z = cv2.medianBlur(image.depth[window].astype(np.float32), 5)[inside]
+    window, inside = _window(at, int(4.0 * eye_px + 0.5) + 1, mask.shape)
+    smooth = gaussian(np.clip(height[window], 0.0, None), eye_px)
+    down, right = (np.gradient(smooth, pixel_m, axis=axis)[inside] for axis in (0, 1))
+    steep = 1.0 + np.hypot(down, right)
     places = (z[:, None] * rays[rows, columns]) @ frame.R
     angles = np.array([p.angle for p in grasps], float)
     openings = np.array([p.width for p in grasps], float) * z * image.crop.side / len(image.depth) / camera.K[0, 0]
     quality, sure = np.array([p.quality for p in grasps], float), certainty[rows, columns]
-    tastes = []
-    for i, point in enumerate(places):
-        one = objects[nearest[rows[i], columns[i]]]
-        off = point[:2] - one.middle
-        along, aside = off @ one.axis / one.length, off @ np.array([-one.axis[1], one.axis[0]]) / one.width
-        # y points down the image, angles are anticlockwise.
-        axis = np.arctan2(-one.axis[1], one.axis[0])
-        h = frame.distance - point[2]
-        seen = {
-            "quality": quality[i],
-            "height": h / LENGTH_M,
-            "below top": (one.top - h) / LENGTH_M,
-            "opening": openings[i] / LENGTH_M,
-            "along": abs(along),
-            "towards lighter end": along * one.uneven,
-            "aside": abs(aside),
-            "from middle": np.linalg.norm(off) / LENGTH_M,
-            "from bulk": np.linalg.norm(point[:2] - one.bulk) / LENGTH_M,
-            "thickness": thickness[rows[i], columns[i]] / one.thick,
-            "across": one.long * np.cos(2.0 * (angles[i] - axis)),
-            "right": off[0] / LENGTH_M,
-            "towards operator": off[1] / LENGTH_M,
-            "line cos": np.cos(2.0 * angles[i]),
-            "line sin": np.sin(2.0 * angles[i]),
-            "rim": 1.0 - around[rows[i], columns[i]],
-            "certainty": sure[i],
-            "against line": np.sin(turns[i]) ** 2 * sure[i],
-        }
-        tastes.append([seen[name] for name in TASTES])
-    slopes = np.stack([right[rows, columns] / steep, down[rows, columns] / steep], axis=1)
-    liked = np.clip(np.array(tastes, float).reshape(-1, len(TASTES)), -4.0, 4.0)
+    of = _Objects(*(values[nearest[rows, columns]] for values in objects))
+    off = places[:, :2] - of.middle
+    along, aside = (off * of.axis).sum(axis=1), off[:, 1] * of.axis[:, 0] - off[:, 0] * of.axis[:, 1]
+    # y points down the image, angles are anticlockwise.
+    axis = np.arctan2(-of.axis[:, 1], of.axis[:, 0])
+    h = frame.distance - places[:, 2]
+    seen = {
+        "quality": quality,
+        "height": h / LENGTH_M,
+        "below top": (of.top - h) / LENGTH_M,
+        "opening": openings / LENGTH_M,
+        "along": np.abs(along / of.length),
+        "towards lighter end": along / of.length * of.uneven,
+        "aside": np.abs(aside / of.width),
+        "from middle": np.hypot(*off.T) / LENGTH_M,
+        "from bulk": np.hypot(*(places[:, :2] - of.bulk).T) / LENGTH_M,
+        "thickness": thickness[rows, columns] / of.thick,
+        "across": of.long * np.cos(2.0 * (angles - axis)),
+        "right": off[:, 0] / LENGTH_M,
+        "towards operator": off[:, 1] / LENGTH_M,
+        "line cos": np.cos(2.0 * angles),
+        "line sin": np.sin(2.0 * angles),
+        "rim": 1.0 - around,
+        "certainty": sure,
+        "against line": np.sin(turns) ** 2 * sure,
+    }
+    slopes = np.stack([right / steep, down / steep], axis=1)
+    liked = np.clip(np.column_stack([seen[name] for name in TASTES]), -4.0, 4.0)
     return Candidates(tuple(grasps), frame, places, angles, openings, slopes, liked)
 
 
+def _window(at: np.ndarray, margin: int, shape: tuple[int, ...]) -> tuple[tuple[slice, ...], tuple[np.ndarray, ...]]:
+    """Returns the part of an image with pixels (row, column), shape (n, 2), and so much about them, and the pixels'
+    rows and columns in it; for no pixels the whole image."""
+    if not len(at):
+        return (slice(None),) * 2, tuple(at.T)
+    first = np.maximum(at.min(axis=0) - margin, 0)
+    end = np.minimum(at.max(axis=0) + margin + 1, shape)
+    return tuple(slice(a, b) for a, b in zip(first.tolist(), end.tolist())), tuple((at - first).T)
+
+
 def _objects(
-    mask: np.ndarray, thickness: np.ndarray, points: np.ndarray, height: np.ndarray
-) -> tuple[np.ndarray, list[_Object]]:
+    mask: np.ndarray, thickness: np.ndarray, height: np.ndarray, depth: np.ndarray, rays: np.ndarray, frame: LevelFrame
+) -> tuple[np.ndarray, _Objects]:
     """Returns for each pixel the number of the object there, or of the nearest one, and the objects."""
     smallest_object_px = 40
     count, parts, sizes, _ = cv2.connectedComponentsWithStats(mask)
@@ -245,7 +261,7 @@ def _objects(
     for i, part in enumerate(kept):
         of = parts == part
         which[of] = i + 1
-        xy = points[of][:, :2]
+        xy = (depth[of, None] * rays[of]) @ frame.R[:, :2]
         middle = xy.mean(axis=0)
         spread, axes = np.linalg.eigh(np.cov((xy - middle).T))
         axis = axes[:, 1]
@@ -254,17 +270,18 @@ def _objects(
         skew = float(np.mean(t**3)) / sd[1] ** 3
         # The tail of the distribution is the lighter end.
         axis = axis if skew >= 0.0 else -axis
-        bulk = int(np.argmax(np.where(of, thickness, -1.0)))
+        inner = thickness[of]
+        bulk = int(np.argmax(inner))
         found.append(
-            _Object(
+            (
                 middle,
                 axis,
                 max(0.005, float(np.percentile(np.abs(t), 98))),
                 max(0.005, float(np.percentile(np.abs(s), 98))),
                 1.0 - sd[0] / sd[1],
                 min(1.0, 2.0 * abs(skew)),
-                points.reshape(-1, 3)[bulk, :2],
-                max(1.0, float(thickness.flat[bulk])),
+                xy[bulk],
+                max(1.0, float(inner[bulk])),
                 float(np.percentile(height[of], 95)),
             )
         )
@@ -272,4 +289,4 @@ def _objects(
     _, cells = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     of_label = np.zeros(int(cells.max()) + 1, np.int32)
     of_label[cells[away == 0]] = which[away == 0]
-    return np.maximum(of_label[cells] - 1, 0), found
+    return np.maximum(of_label[cells] - 1, 0), _Objects(*(np.array(values) for values in zip(*found)))

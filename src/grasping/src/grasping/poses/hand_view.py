@@ -7,6 +7,9 @@ surface's height beside the grasp counts: how far the thing reaches, and on whic
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+import cv2
 import numpy as np
 
 from common.camera_model import CameraModel
@@ -33,19 +36,19 @@ def features(
     of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: LevelFrame, gripper: Gripper
 ) -> np.ndarray:
     """Returns the network's input for each hypothesis, shape (n, FEATURES), float32, about -1 to 1."""
-    n, half = len(of.T), 0.5 * np.maximum(of.opening, gripper.least)[:, None]
-    beside, reach = gripper.thickness * np.array(BESIDE), gripper.reach
-    across = np.concatenate([-half - beside[::-1], half * BETWEEN, half + beside], axis=1)  # shape (n, 13)
-    y, z = gripper.breadth * np.array(ALONG), reach + np.array(DOWN_M)
+    half = 0.5 * np.maximum(of.opening, gripper.least)[:, None]
     R, down = of.T[:, :3, :3].astype(np.float32), frame.R[:, 2].astype(np.float32)
-    tips = of.T[:, :3, 3].astype(np.float32) + reach * R[:, :, 2]
-    low = np.clip(gripper.ground - (frame.distance - tips @ down), 0.0, 2.0 * reach)
+    tips = of.T[:, :3, 3].astype(np.float32) + gripper.reach * R[:, :, 2]
+    low = np.clip(gripper.ground - (frame.distance - tips @ down), 0.0, 2.0 * gripper.reach)
     tips = tips - (low / np.maximum(R[:, :, 2] @ down, 0.3))[:, None] * R[:, :, 2]
-    origin = tips - reach * R[:, :, 2]
-    local = _behind((across, y[None], z[None]), R, origin, image, camera) / NEAR_M
-    around = np.array(AROUND_M)[None]
+    origin = tips - gripper.reach * R[:, :, 2]
+    found, near = np.empty((len(R), FEATURES), np.float32), _around_fingers(gripper)
+    local, wide, other = np.split(found, (near.shape[1], FEATURES - SCALARS), axis=1)
+    x, y, z = np.moveaxis(R, 2, 0)
+    _behind(np.stack([half * x, x, y, z, origin], axis=1), near, image, camera, NEAR_M, local)
     # In the plane across the vertical, turned with the line through the fingers.
-    wide = _behind((around, around), _level_of(R, frame), origin, image, camera) / FAR_M
+    x, y = np.moveaxis(_level_of(R, frame), 2, 0)[:2]
+    _behind(np.stack([x, y, origin], axis=1), _around_hand(), image, camera, FAR_M, wide)
     scalars = np.concatenate(
         [
             of.seen,
@@ -53,13 +56,12 @@ def features(
             (of.opening[:, None] - 0.05) / 0.05,
             (frame.distance - tips @ down)[:, None] / FAR_M,
             (frame.distance - origin @ down)[:, None] / FAR_M,
-            np.full((n, 1), image.mean - 0.7) / 0.2,
+            np.full((len(R), 1), image.mean - 0.7) / 0.2,
         ],
         axis=1,
     )
-    return np.concatenate(
-        [np.clip(local, -1.0, 1.0), np.clip(wide, -1.0, 1.0), np.clip(scalars, -LARGEST, LARGEST)], axis=1
-    ).astype(np.float32)
+    np.clip(scalars, -LARGEST, LARGEST, out=other, casting="same_kind")
+    return found
 
 
 def mirrored(values: np.ndarray, across: bool, along: bool) -> np.ndarray:
@@ -86,21 +88,47 @@ def _level_of(R: np.ndarray, frame: LevelFrame) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
+@lru_cache(maxsize=4)
+def _around_fingers(gripper: Gripper) -> np.ndarray:
+    """Returns the points at the fingers as multiples of half the opening and the hand's axes from its origin, whose
+    multiple is 1, shape (5, n), float32 [1, m, m, m, 1]."""
+    beside = gripper.thickness * np.array(BESIDE)
+    fractions = np.concatenate([np.full(len(BESIDE), -1.0), BETWEEN, np.full(len(BESIDE), 1.0)])
+    across = np.concatenate([-beside[::-1], np.zeros(len(BETWEEN)), beside])
+    which, y, z = np.meshgrid(
+        np.arange(len(across)), gripper.breadth * np.array(ALONG), gripper.reach + np.array(DOWN_M), indexing="ij"
+    )
+    return _grid(fractions[which], across[which], y, z)
+
+
+@lru_cache(maxsize=1)
+def _around_hand() -> np.ndarray:
+    """Returns the points further out, likewise: multiples of two axes, shape (3, n)."""
+    return _grid(*np.meshgrid(AROUND_M, AROUND_M, indexing="ij"))
+
+
+def _grid(*steps: np.ndarray) -> np.ndarray:
+    found = np.stack([*(step.ravel() for step in steps), np.ones(steps[0].size)]).astype(np.float32)
+    found.setflags(write=False)
+    return found
+
+
 def _behind(
-    steps: tuple[np.ndarray, ...], R: np.ndarray, origin: np.ndarray, image: NetworkImage, camera: CameraModel
-) -> np.ndarray:
-    """Returns how far the points of grids lie behind the surface seen there, shape (n, m) [m]; `steps`: along the first
-    axes of each of the frames `R`, shape (n or 1, m_i) [m]."""
-    side = len(image.depth)
-    to_pixels = pixel_matrix(image, camera).astype(np.float32)
-    axes = to_pixels @ R
-    # Column and row of the image, both times the depth, and the depth: linear in the steps, so no point is computed.
-    seen = (origin.astype(np.float32) @ to_pixels.T)[:, :, None]
-    for axis, step in enumerate(steps):
-        moved = axes[:, :, axis, None] * step[:, None].astype(np.float32)
-        seen = (seen[..., None] + moved[:, :, None]).reshape(len(R), 3, -1)
-    depth = seen[:, 2]
-    nearer = 1.0 / np.maximum(depth, np.float32(1e-3))
-    column, row = (np.clip((seen[:, i] * nearer).astype(np.int32), 0, side - 1) for i in range(2))
-    behind: np.ndarray = depth - image.depth.ravel()[side * row + column]
-    return behind
+    axes: np.ndarray, grid: np.ndarray, image: NetworkImage, camera: CameraModel, unit: float, found: np.ndarray
+) -> None:
+    """Writes how far the points of grids lie behind the surface seen there, -1 to 1, to `found`, shape (n, m) [unit];
+    `axes`: of the grids and their origins, shape (n, k, 3) [m]; `grid`: the points' multiples of these, shape (k, m).
+    """
+    least, part = np.float32(1e-3), 64  # of the hypotheses at a time, so that the processor's cache holds the points
+    to_pixels = pixel_matrix(image, camera)
+    to_pixels[:2] -= 0.5 * to_pixels[2]  # as OpenCV counts: whole numbers are the pixels' middles
+    # Column and row of the image, both times the depth, and the depth are linear in the multiples: no point is found.
+    seen = np.ascontiguousarray(np.moveaxis(axes.astype(np.float32) @ to_pixels.T.astype(np.float32), 2, 0))
+    for first in range(0, len(axes), part):
+        column, row, depth = seen[:, first : first + part] @ grid
+        nearer = np.reciprocal(np.maximum(depth, least))
+        column *= nearer
+        row *= nearer
+        depth -= cv2.remap(image.depth, column, row, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        depth *= np.float32(1.0 / unit)
+        np.clip(depth, -1.0, 1.0, out=found[first : first + part])

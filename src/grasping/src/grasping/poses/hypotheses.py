@@ -14,7 +14,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from grasping.network.depth_image import NetworkImage
 from grasping.network.maps import Maps
-from grasping.poses.candidates import LevelFrame, image_rays
+from grasping.poses.candidates import LevelFrame, heights, image_rays
 
 PLACES = 96
 SPACING_PX = 4  # between two places, rows or columns
@@ -95,7 +95,7 @@ def hypotheses(
 def places(maps: Maps, image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
     """Returns the pixels (row, column) where grasps are tried, shape (n, 2): the best ones of GGCNN's quality first,
     then those highest above the table."""
-    height = frame.distance - image.depth * (image_rays(image, camera) @ frame.R[:, 2])
+    height = heights(image, camera, frame)
     inner = np.zeros(maps.quality.shape, bool)
     inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
     rows, columns = np.nonzero(inner & image.valid & (height > OBJECT_M))

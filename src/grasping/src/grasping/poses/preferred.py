@@ -1,7 +1,9 @@
 """The grasps of an image that an operator would take, among those that are likely to lift.
 
-A grasp that lifts with less than `SAFE` and with less than the safest one less `MOST_LOST` is never taken. So the
-operator's taste costs few lifts, however wrong it is; the constant miss across the vertical is not copied.
+A grasp is worth the probability of its lift and, times `WORTH`, that of the operator's choice: few shown episodes leave
+that one low everywhere, and then the safest grasp is taken. One that lifts with less than `SAFE` and with less than the
+safest one less `MOST_LOST` never is. So the taste costs few lifts, however wrong it is; the constant miss across the
+vertical is not copied.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from grasping.poses.taste import Options, PoseTaste, options, poses, styled, wor
 
 SAFE = 0.97  # probability of a lift that is enough
 MOST_LOST = 0.01  # where the safest grasp has less, another one may have as much less [probability]
-KEPT = 0.4  # by which the score of a new grasp must lead that of one of the image before [nats]
+WORTH = 0.1  # of the operator's choice, in lifts
+KEPT = 0.02  # by which what a new grasp is worth must lead that of one of the image before [lifts]
 
 
 class Offer(NamedTuple):
@@ -70,19 +73,21 @@ def preferred(
     near = of.hypotheses(*varied(part, each, np.random.default_rng(0), most_open, of.frame, max_tilt, scale))
     away = distances(np.repeat(part.T, each, axis=0), near.T, taste)
     tried, score = joined(part, near), np.concatenate([appeal, np.repeat(appeal, each) - 0.5 * away**2])
-    lead = np.zeros(len(score))
-    if before is not None:
-        away = distances(before.T[:, None], part.T, taste)
-        tried = joined(tried, before)
-        score = np.append(score, (appeal - 0.5 * away**2).max(axis=1))
-        lead = np.append(lead, np.full(len(before.T), KEPT))
+    others = safest.of.part(np.array([0]))
+    others = others if before is None else joined(others, before)
+    away = distances(others.T[:, None], part.T, taste)
+    tried, score = joined(tried, others), np.append(score, (appeal - 0.5 * away**2).max(axis=1))
     lifts = lift_probabilities(network, of, tried)
+    worth = lifts + WORTH * np.exp(np.minimum(score, 0.0))
+    lead = np.zeros(len(worth))
+    if before is not None:
+        lead[-len(before.T) :] = KEPT
     allowed = lifts >= min(SAFE, safest.probability.max() - MOST_LOST)
-    order = np.argsort(-(score + lead), kind="stable")
+    order = np.argsort(-(worth + lead), kind="stable")
     order = order[allowed[order]]
     if not len(order):
         return safest
-    rank = np.exp(score[order] - score[order].max())
+    rank = np.exp((worth[order] - worth[order].max()) / WORTH)
     lifts, rank = np.append(lifts[order], safest.probability), np.append(rank, rank.min() * safest.rank)
     return ScoredPoses(joined(tried.part(order), safest.of), lifts, rank)
 
