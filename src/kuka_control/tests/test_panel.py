@@ -65,6 +65,23 @@ def test_a_motion_is_paused_only_where_the_robot_can_and_the_tip_says_what_a_sto
     assert not panel.pause.isEnabled() and "The robot stops whatever moves" in panel.emergency.toolTip()
 
 
+def test_policy_and_episodes_have_buttons_only_where_their_services_are(panel):
+    policy, marks = emitted(panel.policy_requested), emitted(panel.mark_requested)
+    buttons = [panel.policy, panel.no_policy, *panel.marks.values()]
+    assert not any(button.isVisible() for button in (*buttons, panel.training))
+    panel.show_state(state(policy=True))
+    assert [button.isVisible() for button in buttons] == [True] * 2 + [False] * 5
+    panel.show_state(state(episodes=True, present=False))
+    assert [button.isVisible() for button in buttons] == [False] * 2 + [True] * 5
+    panel.show_state(state(policy=True, episodes=True))
+    for button in buttons:
+        click(button)
+    assert policy == [(True,), (False,)]
+    assert marks == [("begin",), ("success",), ("failure",), ("discard",), ("again",)]
+    panel.show_state(state())
+    assert not panel.training.isVisible()
+
+
 @pytest.mark.parametrize(("key", "factor"), [("Key_Left", 0.99), ("Key_Right", 1.01), ("Key_PageDown", 0.9)])
 def test_keys_move_the_slider_by_a_hundredth_or_a_tenth(panel, key, factor):
     from python_qt_binding.QtCore import Qt

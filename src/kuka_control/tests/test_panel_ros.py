@@ -19,6 +19,7 @@ pytest.importorskip("rig_msgs.srv")
 import fake_controller
 import rosgraph
 import rospy
+from std_srvs.srv import SetBool, Trigger
 
 import kuka_msgs.srv
 from kuka_control.gui.panel import ControlPanel
@@ -187,6 +188,33 @@ def test_the_slider_stays_where_the_keys_put_it(panel, start, see):
     assert seen == {95} and panel.scaling_label.text() == "Scaling Factor: 0.95"
     click(panel.reset)
     see(lambda: panel.scaling.value() == 100 and abs(now_scale() - 1.0) < 1e-6, "the default")
+
+
+def test_a_policy_and_episodes_are_asked_for_where_somebody_offers_them(panel, controller, see):
+    asked = []
+
+    def offer(name, kind):
+        answer = (True, f"{name} answers.")
+        return rospy.Service(name, kind, lambda request: asked.append((name, getattr(request, "data", None))) or answer)
+
+    services = [offer("leap_kuka/run_policy", SetBool), offer("episodes/begin", Trigger)]
+    see(lambda: panel.marks["begin"].isVisible(), "the episodes")
+    assert not panel.policy.isVisible(), "an absolute engagement"
+    rospy.set_param("leap/engagement", "relative")
+    see(lambda: panel.policy.isVisible(), "the policy")
+    for button, name in (
+        (panel.policy, "run_policy"),
+        (panel.no_policy, "run_policy"),
+        (panel.marks["begin"], "begin"),
+    ):
+        panel.show_answer("")
+        click(button)
+        see(lambda name=name: f"{name} answers." in panel.answer.full, "the answer")
+    assert asked == [("leap_kuka/run_policy", True), ("leap_kuka/run_policy", False), ("episodes/begin", None)]
+    for service in services:
+        service.shutdown()
+    see(lambda: not panel.training.isVisible(), "nobody offers them")
+    assert panel.control.isEnabled()
 
 
 def test_a_refusal_is_shown(panel, controller, see):

@@ -533,6 +533,16 @@ def test_a_policy_steers_until_a_hand_comes_in_and_goes_on_when_it_has_left(ros,
     np.testing.assert_allclose(tool(), stays, atol=1e-9)
 
 
+def test_of_an_absolute_engagement_no_policy_steers_and_the_service_says_so(ros, node, tracker):
+    set_params({})
+    node.run()
+    clock.sleep(1.0)
+    answer = rospy.ServiceProxy("leap_kuka/run_policy", SetBool)(True)
+    assert not answer.success and answer.message == (
+        "The policy's actions do not count: a program needs leap/engagement relative, and a leap/hold_time above 0."
+    )
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [

@@ -181,7 +181,7 @@ JSON = st.recursive(
 )
 NAMES = st.sampled_from(
     ["control", "pause", "guide", "gripper", "scaling", "exit", "record", "mark", "tutorial", "operator", "choose",
-     "beat", "secret", "x"]
+     "beat", "secret", "policy", "x"]
 )  # fmt: skip
 
 
@@ -202,9 +202,9 @@ def test_whatever_a_page_sends_is_a_sound_command_or_refused(text):
         name, arm, value, _ = read_command(text, ARMS)
     except PageMessageFault:
         return
-    if name in ("control", "pause", "guide", "gripper", "scaling", "exit"):
+    if name in ("control", "pause", "guide", "gripper", "policy", "scaling", "exit"):
         assert arm in ARMS
-    if name in ("control", "pause", "guide", "gripper", "record", "tutorial"):
+    if name in ("control", "pause", "guide", "gripper", "policy", "record", "tutorial"):
         assert value is True or value is False
     if name == "mark":
         assert value[0] in MARKS and value[1].isprintable() and len(value[1]) <= 200

@@ -16,6 +16,7 @@ pytest.importorskip("rig_msgs.msg")
 import rospy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
+from std_srvs.srv import SetBool
 
 from common.ros import sentence_writer
 from kuka_control.model.switches import Switches, SwitchReply
@@ -226,6 +227,22 @@ def test_a_page_lets_a_hand_guide_the_arm_where_the_robot_can(pages, controller)
         pages.obey(PageCommand("guide", "", on))
         pages.wait(lambda on=on: pages.shown["arms"][""]["guided"] is on, 5.0, "the guiding")
     pages.wait(lambda: any("Hand guiding has ended." in text for text in pages.said), 5.0, "the answer")
+
+
+def test_a_page_lets_a_policy_run_and_stops_it_where_leap_kuka_can(pages, controller):
+    asked = []
+    rospy.Service("leap_kuka/run_policy", SetBool, lambda request: asked.append(request.data) or (True, "Answered."))
+    rospy.set_param("leap/engagement", "absolute")
+    open_page(pages)
+    clock.sleep(2.0)
+    assert not pages.shown["arms"][""]["policy"]
+    rospy.set_param("leap/engagement", "relative")
+    pages.wait(lambda: pages.shown["arms"][""]["policy"], 5.0, "the buttons")
+    for on in (True, False):
+        pages.obey(PageCommand("policy", "", on))
+        pages.wait(lambda on=on: asked[-1:] == [on], 5.0, "the request")
+    pages.wait(lambda: any("Answered." in text for text in pages.said), 5.0, "the answer")
+    assert asked == [True, False]
 
 
 def test_what_waits_in_the_node_when_a_page_stops_the_arm_is_dropped(pages, controller, stand):

@@ -143,6 +143,23 @@ def without_news(condition):
         time.sleep(0.1)
 
 
+def test_a_policy_and_marks_of_episodes_are_asked_for_where_they_can_be(page):
+    leader = {**ROW, "name": "Leader", "text": "policy"}
+    page.changes.update(policy=True, rows=[leader, ROW])
+    page.enter()
+    page("$('take').click()")
+    page.until(lambda: page.server.live and page("!document.querySelector('.policy').disabled"), what="control")
+    for button in (".policy", ".unled", "[data-mark=discard]", "[data-mark=again]"):
+        page(f"document.querySelector('{button}').click()")
+    page.until(lambda: len(page.obeyed) == 4, what="the requests")
+    assert [(command.name, command.value) for command in page.obeyed] == [
+        ("policy", True), ("policy", False), ("mark", ("discard", "")), ("mark", ("again", "")),
+    ]  # fmt: skip
+    assert page("$('rows').textContent") == "Leaderpolicy" and page(OVERLAPS) == ""
+    page.changes.update(policy=False)
+    page.until(lambda: page("!document.querySelector('.policy').offsetParent"), what="no buttons")
+
+
 def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
     page.press("Tab")
     assert page("document.activeElement.id") == "stop"

@@ -19,8 +19,8 @@ from leap_rig.operator.view import (
     jitter,
 )
 
-NAMES = ["Hand", "Start", "Arm", "Limits", "Guard", "Fingers", "Grip", "Link", "Delay"]
-KINDS = (TeleopRecord, TeleopRecord, ArmView, ArmView, GuardedPair, GripView, GripView, ArmView, DelayView)
+NAMES = ["Hand", "Leader", "Start", "Arm", "Limits", "Guard", "Fingers", "Grip", "Link", "Delay"]
+KINDS = (*3 * (TeleopRecord,), ArmView, ArmView, GuardedPair, GripView, GripView, ArmView, DelayView)
 KIND_OF = dict(zip(NAMES, KINDS))
 
 
@@ -64,10 +64,10 @@ def test_the_rows_are_always_the_same_and_show_old_records_as_old(arrivals, sile
     cue = view.cue(now)
     hand = view._fresh(TeleopRecord, now)
     assert (rows[0].tone is RowTone.GOOD) == (hand is not None and hand.follows)
-    arm_known, limits = rows[2].tone is not RowTone.STALE, rows[3].text
+    arm_known, limits = rows[3].tone is not RowTone.STALE, rows[4].text
     assert not arm_known or limits.endswith("hand unknown") == (hand is None)
     assert cue.engaged == (hand is not None and hand.state == "running") and cue.stopped >= (
-        rows[2].tone is RowTone.FAULT
+        rows[3].tone is RowTone.FAULT
     )
 
 
@@ -150,6 +150,20 @@ def test_plain_text_is_short():
     lines = plain_text(rows, 40).splitlines()
     assert max(map(len, lines)) <= 40 and lines[2].endswith(" ...")
     assert lines[3:] == ["Start: 1 of 3", "  - in the box, level", "Grip: free"]
+
+
+@pytest.mark.parametrize(
+    ("state", "hold", "leader"),
+    [
+        ("running", "none", "hand"),
+        ("running", "taken", "hand"),
+        ("holding", "led", "policy"),
+        ("holding", "kept", "nobody"),
+        ("waiting", "none", "nobody"),
+    ],
+)
+def test_the_operator_sees_who_leads(state, hold, leader):
+    assert rows_after(TeleopRecord(state, "", hold=hold))["Leader"].text == leader
 
 
 @pytest.mark.ros

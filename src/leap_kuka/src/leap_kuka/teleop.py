@@ -62,6 +62,7 @@ from leap_motion.frames import TrackedHand, TrackingFrame
 
 CONTROL_IS_OFF = EngagementTrigger.CONTROL_OFF.reason().text
 CONTROLLER_SILENT = "the arm's controller is silent"
+NEVER_LED = "a program needs leap/engagement relative, and a leap/hold_time above 0"
 TOO_NEAR = "it is too near to the base, behind it or below its foot"
 _HOLDS = {
     EngagementState.HELD: HoldState.HELD,
@@ -178,13 +179,15 @@ class ArmTeleop:
             (self._mode not in FOLLOWS_TOOL, EngagementTrigger.ARM_LEFT.reason(detail=self._mode).text),
         )
 
-    def allow_lead(self, allowed: bool, now: float) -> None:
-        """Lets a program steer from now on, or no longer. The permission ends by itself: with control, with the tool
-        that an engagement has left, and where no pose comes for LEAD_GONE_S."""
-        self._lead_allowed, self._lead_at = allowed, now
+    def allow_lead(self, allowed: bool, now: float) -> str:
+        """Lets a program steer from now on, or no longer; returns why not, a part of a sentence, or an empty text. The
+        permission ends by itself: with control, with the tool that an engagement has left, and where no pose comes for
+        LEAD_GONE_S."""
+        self._lead_allowed, self._lead_at = allowed and self._keeps, now
         self.lead_fault = ""
         if not allowed:
             self._fire(EngagementTrigger.LEAD_LOST, now, "the program was stopped")
+        return NEVER_LED if allowed and not self._keeps else ""
 
     def lead(self, T_base_tool: np.ndarray, now: float) -> str:
         """Brings the tool, while no hand steers it, to the next pose of a program, shape (4, 4) [m]; returns why not,
@@ -218,7 +221,7 @@ class ArmTeleop:
         not_ready = "" if self._state.held else self._not_ready(now)
         return _first(
             (
-                (not self._keeps, "a program needs leap/engagement relative, and a leap/hold_time above 0"),
+                (not self._keeps, NEVER_LED),
                 *self._program_inhibited(T_base_tool, now),
                 (not self._lead_allowed, "nobody has allowed it by leap_kuka/run_policy"),
                 (self._state is EngagementState.HELD, "it is held for a hand"),

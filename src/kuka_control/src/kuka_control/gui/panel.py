@@ -23,6 +23,7 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
+from common.episode_marks import AGAIN, MARKS
 from common.operator_rows import ARM, SILENT, Row
 from kuka_control.gui.panel_rows import OperatorRows
 from kuka_control.gui.panel_state import PanelState, Tone, factor_text
@@ -158,6 +159,8 @@ GUIDE_TIP = (
     "Lets a hand move the arm while the enabling switch is held: control on, at home or where a program left it."
 )
 
+POLICY_TIP = "Lets a program steer the tool while no hand does; a hand that comes in takes over."
+
 
 def emergency_tip(stops: bool) -> str:
     """Returns what the Emergency Stop does; `stops`: the robot can stop a motion to a point."""
@@ -171,6 +174,8 @@ class ControlPanel(QWidget):
     pause_requested = Signal(bool)
     guide_requested = Signal(bool)
     gripper_requested = Signal(bool)
+    policy_requested = Signal(bool)
+    mark_requested = Signal(str)
     scaling_requested = Signal(float)
     exit_requested = Signal()
     emergency_requested = Signal()
@@ -193,6 +198,11 @@ class ControlPanel(QWidget):
         self.gripper = _button("ROS Control", high, grows=True, checkable=True)
         self.gripper.setAccessibleName("ROS Control of the gripper")
         self._toggles = (self.control, self.pause, self.guide, self.gripper)
+        self.policy = _button("Run Policy", 32)
+        self.policy.setToolTip(POLICY_TIP)
+        self.no_policy = _button("Stop Policy", 32)
+        self.marks = {mark: _button(mark.capitalize(), 32) for mark in MARKS}
+        self.marks[AGAIN].setToolTip("Discards the episode, and begins another one.")
         self.scaling_label = label()
         self.scaling_label.setAlignment(Qt.AlignHCenter)
         self._held_at = 0  # where the slider was when the operator took it [steps]
@@ -223,6 +233,11 @@ class ControlPanel(QWidget):
         self.guide.setChecked(state.guided)
         self.guide.setVisible(state.guides)
         self.emergency.setToolTip(emergency_tip(state.stops))
+        for button in (self.policy, self.no_policy):
+            button.setVisible(state.policy)
+        for button in self.marks.values():
+            button.setVisible(state.episodes)
+        self.training.setVisible(state.policy or state.episodes)
         for widget in (*self._toggles, self.exit, self.scaling, self.reset, self.scaling_label):
             widget.setEnabled(state.present)
         if not self.scaling.isSliderDown():
@@ -261,8 +276,16 @@ class ControlPanel(QWidget):
             grid.addWidget(kuka, 0, 0, 2, 1)
             grid.addWidget(gripper, 0, 1)
             grid.addWidget(end, 1, 1)
-        grid.addWidget(self.status, 3, 0, 1, columns)
-        grid.addWidget(self.answer, 4, 0, 1, columns)
+        steering, episodes = QHBoxLayout(), QHBoxLayout()
+        for button in (self.policy, self.no_policy):
+            steering.addWidget(button)
+        for button in self.marks.values():
+            episodes.addWidget(button)
+        self.training = _group("Policy and Episodes", steering, episodes)
+        self.training.hide()
+        grid.addWidget(self.training, 3, 0, 1, columns)
+        grid.addWidget(self.status, 4, 0, 1, columns)
+        grid.addWidget(self.answer, 5, 0, 1, columns)
         view = QScrollArea()
         view.setWidgetResizable(True)
         view.setFocusPolicy(Qt.NoFocus)
@@ -270,8 +293,8 @@ class ControlPanel(QWidget):
         view.setWidget(self.operator)
         self.show_rows()
         self.operator_view = _group("Operator", view)
-        grid.addWidget(self.operator_view, 5, 0, 1, columns)
-        grid.setRowStretch(5, 1)
+        grid.addWidget(self.operator_view, 6, 0, 1, columns)
+        grid.setRowStretch(6, 1)
         for column in range(columns):
             grid.setColumnStretch(column, 1)
             grid.setColumnMinimumWidth(column, 230 if narrow else 240)
@@ -284,6 +307,9 @@ class ControlPanel(QWidget):
             self.reset,
             self.gripper,
             self.exit,
+            self.policy,
+            self.no_policy,
+            *self.marks.values(),
         )
         for first, second in zip(order, order[1:]):
             self.setTabOrder(first, second)
@@ -294,6 +320,10 @@ class ControlPanel(QWidget):
         self.pause.clicked.connect(lambda on: self._ask(self.pause, self.pause_requested, on))
         self.guide.clicked.connect(lambda on: self._ask(self.guide, self.guide_requested, on))
         self.gripper.clicked.connect(lambda on: self._ask(self.gripper, self.gripper_requested, on))
+        self.policy.clicked.connect(lambda: self.policy_requested.emit(True))
+        self.no_policy.clicked.connect(lambda: self.policy_requested.emit(False))
+        for mark, button in self.marks.items():
+            button.clicked.connect(lambda _, mark=mark: self.mark_requested.emit(mark))
         self.scaling.sliderPressed.connect(self._scaling_held)
         self.scaling.sliderReleased.connect(self._scaling_released)
         self.scaling.valueChanged.connect(self._scaling_moved)

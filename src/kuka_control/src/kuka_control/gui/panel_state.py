@@ -63,6 +63,8 @@ class PanelState:
     paused: bool = False  # whether it is to pause
     guides: bool = False  # whether a hand can guide the arm
     guided: bool = False  # whether it may now
+    policy: bool = False  # whether somebody can let a policy steer the tool
+    episodes: bool = False  # whether somebody records episodes
 
 
 NO_CONTEXT = PanelContext()

@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 import rosgraph
 import rospy
+from std_srvs.srv import SetBool, Trigger
 
 from common import clock
+from common.episode_marks import BEGIN, MARKS
 from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master, master_answers
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
@@ -28,6 +30,7 @@ CALL_TIMEOUT_S = 3.0
 SETTLE_S = 1.0  # how long the slider waits for a status with the scaling factor that was accepted
 CONTROL, GRIPPER = "kuka/kuka_control", "kuka/gripper_control"
 SCALING, EXIT, PAUSE, GUIDE = "kuka/scaling_factor", "kuka/exit_app", "kuka/pause", "kuka/guide"
+POLICY, ENGAGEMENT, RELATIVE = "leap_kuka/run_policy", "leap/engagement", "relative"
 KINDS = {
     **dict.fromkeys((CONTROL, PAUSE, GUIDE), setKukaControl),
     GRIPPER: setGripperControl,
@@ -35,6 +38,8 @@ KINDS = {
     EXIT: exitApp,
     emergency.SERVICE: exitAppEmergency,
 }
+"""The controller's services; others may be there."""
+OTHERS = {POLICY: SetBool, **{f"episodes/{mark}": Trigger for mark in MARKS}}
 
 
 class PanelAnswer(NamedTuple):
@@ -63,8 +68,9 @@ class ControllerLink:
         self._status: ControllerStatus | None = None
         self._process: ControllerProcess | None = None
         self._master_lost = False
+        self._policy = self._episodes = False  # whether these services are there
         self._known_since = math.inf  # when the master named a controller
-        self._services = {name: ServiceClient(self._of + name, kind) for name, kind in KINDS.items()}
+        self._services = {n: ServiceClient(self._of + n, kind) for n, kind in (*KINDS.items(), *OTHERS.items())}
         self._answers: clock.SimpleQueue[tuple[str, bool, str]] = clock.SimpleQueue()
         self._running: set[str] = set()
         self._next: dict[str, tuple[tuple, int]] = {}  # requests that wait, and how many stops were asked for before
@@ -92,6 +98,7 @@ class ControllerLink:
         context = PanelContext(rosgraph.get_master_uri(), self._master_lost, runs, unheard)
         rows, at = self._view
         state = self._with_asked_scaling(panel_state(status, now, context))
+        state = replace(state, policy=self._policy, episodes=self._episodes)
         age = None if status is None else now - status.received
         return PanelUpdate(rows if now - at <= OLD_ROWS_S else SILENT, state, tuple(answers), age)
 
@@ -126,6 +133,12 @@ class ControllerLink:
 
     def ask_guide(self, on: bool) -> None:
         self._ask(GUIDE, on)
+
+    def ask_policy(self, on: bool) -> None:
+        self._ask(POLICY, on)
+
+    def ask_mark(self, mark: str) -> None:
+        self._ask(f"episodes/{mark}")
 
     def ask_exit(self) -> None:
         self._ask(EXIT)
@@ -185,7 +198,9 @@ class ControllerLink:
         while not self._closed:
             self._wake.clear()
             try:
-                known = [service.look_up() for service in self._services.values()]
+                known = [self._services[name].look_up() for name in KINDS]
+                self._policy = self._services[POLICY].look_up() and self._parameter(ENGAGEMENT) == RELATIVE
+                self._episodes = self._services[f"episodes/{BEGIN}"].look_up()
                 self._known_since = min(self._known_since, clock.monotonic()) if any(known) else math.inf
                 forgotten = ask_master("lookupNode", rospy.get_name()) is None
                 self._master_lost = False
@@ -199,6 +214,9 @@ class ControllerLink:
                     self._beside(self._follow_rows)
             self._wake.wait(0.0 if self._closed else watch_s)
         self._unsubscribe()
+
+    def _parameter(self, name: str) -> object:
+        return ask_master("getParam", rospy.resolve_name(self._of + name))
 
     def watch_rows(self, on: bool) -> None:
         """Whether somebody sees the operator's view now, which is made for those who look."""

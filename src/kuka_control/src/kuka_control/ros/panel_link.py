@@ -38,6 +38,8 @@ class PanelLink(QObject):
         panel.pause_requested.connect(self.controller.ask_pause)
         panel.guide_requested.connect(self.controller.ask_guide)
         panel.gripper_requested.connect(self.controller.ask_gripper)
+        panel.policy_requested.connect(self.controller.ask_policy)
+        panel.mark_requested.connect(self.controller.ask_mark)
         panel.scaling_requested.connect(self.controller.ask_scaling)
         panel.exit_requested.connect(self.controller.ask_exit)
         panel.emergency_requested.connect(self.ask_emergency)

@@ -136,7 +136,9 @@ class ArmTeleopNode:
     def _on_run_policy(self, request: SetBoolRequest) -> tuple[bool, str]:
         self._policy.clear()  # nobody waited for what came before
         with self._lock:
-            self._teleop.allow_lead(request.data, clock.monotonic())
+            fault = self._teleop.allow_lead(request.data, clock.monotonic())
+        if fault:
+            return False, f"The policy's actions do not count: {fault}."
         sentence = f"The policy's actions {'count' if request.data else 'no longer count'}."
         rospy.loginfo(sentence)
         return True, sentence

@@ -7,17 +7,17 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from common.episode_marks import MARKS
 from kuka_control.numbers import SCALING_MAX, SCALING_MIN
 from leap_kuka.arm_choice import BOTH
 from leap_rig.cockpit.control import CLUTCH, ENABLE
 
 STOP, TAKE, GIVE, BEAT, SECRET = "stop", "take", "give", "beat", "secret"
 CONTROL, GRIPPER, SCALING, EXIT, PAUSE, GUIDE = "control", "gripper", "scaling", "exit", "pause", "guide"
-RECORD, MARK, TUTORIAL, OPERATOR, CHOOSE = "record", "mark", "tutorial", "operator", "choose"
-MARKS = ("begin", "success", "failure")
+RECORD, MARK, TUTORIAL, OPERATOR, CHOOSE, POLICY = "record", "mark", "tutorial", "operator", "choose", "policy"
 MOST_LETTERS = 200  # of the text beside a mark, and of an operator's name
-FLAGS = (CONTROL, PAUSE, GUIDE, GRIPPER, RECORD, TUTORIAL)
-OF_AN_ARM = (CONTROL, PAUSE, GUIDE, GRIPPER, SCALING, EXIT, OPERATOR)
+FLAGS = (CONTROL, PAUSE, GUIDE, GRIPPER, POLICY, RECORD, TUTORIAL)
+OF_AN_ARM = (CONTROL, PAUSE, GUIDE, GRIPPER, POLICY, SCALING, EXIT, OPERATOR)
 
 
 class PageMessageFault(ValueError):

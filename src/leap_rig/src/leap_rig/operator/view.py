@@ -14,7 +14,7 @@ from common.config import flag, number
 from common.modes import Mode
 from common.operator_rows import ARM, BARS, NOTHING, OLD_ROWS_S, TEXT, TICKS, Row, RowTone, fraction, stale
 from common.robot_hand import HAND
-from common.teleop_record import WAITING, TeleopRecord
+from common.teleop_record import LED, WAITING, TeleopRecord
 from leap_rig.operator.cues import Cue
 
 DELAY_SILENCE_S = 5.0  # the delay from hand to arm is measured over seconds
@@ -99,6 +99,7 @@ class OperatorView:
         arm, hand = ArmView, TeleopRecord
         return (
             self._row("Hand", hand, now, _hand),
+            self._row("Leader", hand, now, _leader),
             self._row("Start", hand, now, _start, TICKS),
             self._row(ARM, arm, now, _arm),
             self._row("Limits", arm, now, lambda record: _limits(record, self._fresh(hand, now))),
@@ -166,6 +167,12 @@ def jitter(round_trips: Sequence[float]) -> float:
 def _hand(hand: TeleopRecord) -> tuple[str, RowTone]:
     tone = RowTone.GOOD if hand.follows else RowTone.NORMAL if hand.state == WAITING else RowTone.WARNING
     return f"{hand.state}: {hand.reason}", tone
+
+
+def _leader(hand: TeleopRecord) -> tuple[str, RowTone]:
+    if hand.running:
+        return "hand", RowTone.GOOD
+    return ("policy", RowTone.WARNING) if hand.hold == LED else ("nobody", RowTone.NORMAL)
 
 
 def _start(hand: TeleopRecord) -> tuple:

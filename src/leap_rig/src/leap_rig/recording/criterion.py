@@ -11,7 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from leap_rig.recording.session import FAILURE, SUCCESS, EpisodeFault
+from common.episode_marks import FAILURE, SUCCESS
+from leap_rig.recording.session import EpisodeFault
 
 HELD, LIFTED, PLACED = "held", "lifted", "placed"
 LIFTED_M = 0.05

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from common.episode_marks import SUCCESS as SUCCEEDED
 from leap_rig.recording import topics
 from leap_rig.recording.episode import (
     DEPTH_CODE,
@@ -22,7 +23,6 @@ from leap_rig.recording.leader import read_leader
 from leap_rig.recording.recording_files import RecordingFault, between
 from leap_rig.recording.run import MessageDecoders, read
 from leap_rig.recording.session import LABEL, read_label
-from leap_rig.recording.session import SUCCESS as SUCCEEDED
 from leap_rig.recording.signals import SignalTable, moving, read_signals
 
 STATE, ACTION, SUCCESS, IMAGES = "observation.state", "action", "next.success", "observation.images."

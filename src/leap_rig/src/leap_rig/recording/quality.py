@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from common.episode_marks import FAILURE, SUCCESS
 from common.errors import RigError
 from common.hand_delay import Track, hand_delay
 from leap_rig.recording import topics
@@ -35,7 +36,7 @@ from leap_rig.recording.episode import IMAGE, TrainingEpisode, training_episode
 from leap_rig.recording.leader import read_leader
 from leap_rig.recording.recording_files import MESSAGES, between, messages
 from leap_rig.recording.run import MessageDecoders, RecordedRun, read
-from leap_rig.recording.session import FAILURE, FOLDER, LABEL, SUCCESS, EpisodeLabel, read_label
+from leap_rig.recording.session import FOLDER, LABEL, EpisodeLabel, read_label
 from leap_rig.recording.signals import AGE, SignalTable, read_signals
 
 OBJECTS = "/simulation/object_states"

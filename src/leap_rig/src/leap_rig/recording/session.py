@@ -15,12 +15,10 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from common.episode_marks import AGAIN, BEGIN, DISCARD, FAILURE, MARKS, SUCCESS
 from common.errors import RigError
 from common.ros.files import read_text, write_whole
 
-BEGIN, SUCCESS, FAILURE, DISCARD, AGAIN = "begin", "success", "failure", "discard", "again"
-MARKS = BEGIN, SUCCESS, FAILURE, DISCARD, AGAIN
-"""What an operator may say; `again`: discard the episode, and begin another one."""
 DISCARDED, UNFINISHED = "discarded", "unfinished"
 OUTCOMES = SUCCESS, FAILURE, DISCARDED, UNFINISHED
 SAID = {SUCCESS: SUCCESS, FAILURE: FAILURE, DISCARD: DISCARDED}

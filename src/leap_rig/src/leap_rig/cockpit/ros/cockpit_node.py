@@ -50,6 +50,7 @@ from leap_rig.cockpit.messages import (
     MARK,
     OPERATOR,
     PAUSE,
+    POLICY,
     RECORD,
     SCALING,
     TUTORIAL,
@@ -362,7 +363,7 @@ class Cockpit:
         with self._asking:  # a stop comes before or after it
             if came <= self._stopped:
                 return
-            if command.name in (CONTROL, PAUSE, GUIDE, GRIPPER, SCALING, EXIT):
+            if command.name in (CONTROL, PAUSE, GUIDE, GRIPPER, POLICY, SCALING, EXIT):
                 self._ask_controller(self._arms[command.arm].link, command)
                 return
         if command.name == RECORD:
@@ -383,7 +384,7 @@ class Cockpit:
         else:
             asks = {
                 **{CONTROL: link.ask_control, PAUSE: link.ask_pause, GUIDE: link.ask_guide},
-                **{GRIPPER: link.ask_gripper, SCALING: link.ask_scaling},
+                **{GRIPPER: link.ask_gripper, POLICY: link.ask_policy, SCALING: link.ask_scaling},
             }
             asks[command.name](command.value)
 

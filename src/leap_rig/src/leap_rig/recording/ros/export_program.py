@@ -18,6 +18,7 @@ import rospy
 
 import common.errors
 from common.command_line import whole
+from common.episode_marks import SUCCESS
 from common.ros.node import run_program
 from leap_rig.recording import csv_export, hdf5_export, lerobot_export, rows_export
 from leap_rig.recording.recording_files import (
@@ -31,7 +32,7 @@ from leap_rig.recording.recording_files import (
     write_mcap,
 )
 from leap_rig.recording.run import RecordedRun, read
-from leap_rig.recording.session import OUTCOMES, SUCCESS, chosen, episode_folders
+from leap_rig.recording.session import OUTCOMES, chosen, episode_folders
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.{}_export import main; main()"
