@@ -26,6 +26,7 @@ from visualization_msgs.msg import MarkerArray
 from common.poses import inverse, pose
 from common.ros.conversions import message_from_pose, pose_from_transform, stamped_pose, stamped_transform
 from common.ros.node import repeat
+from common.ros.policy_input import PolicyInput
 from leap_kuka.ros import operator_input_node
 from leap_motion.msg import Hand, Human
 from rig_msgs.msg import KukaStatus, OperatorInput, PolicyActions, TeleopState
@@ -531,6 +532,27 @@ def test_a_policy_steers_until_a_hand_comes_in_and_goes_on_when_it_has_left(ros,
     assert states[-1].hold == "kept" and "the program was stopped" in states[-1].reason
     clock.sleep(1.0)
     np.testing.assert_allclose(tool(), stays, atol=1e-9)
+
+
+def test_of_two_programs_at_once_the_first_is_heard(ros):
+    heard = PolicyInput(PolicyActions, "kuka/base_frame", 4)
+
+    def program(x):
+        rospy.init_node(f"policy_{round(10 * x)}")
+        publisher = rospy.Publisher("leap_kuka/policy_actions", PolicyActions, queue_size=1)
+        clock.sleep(x)
+        for _ in range(10):
+            message = PolicyActions(period=0.1, tool=[message_from_pose(pose(p=(x, 0.0, 0.4)))])
+            message.header.stamp, message.header.frame_id = rospy.Time.now(), "kuka/base_frame"
+            publisher.publish(message)
+            clock.sleep(0.05)
+
+    first, second = (ros.start("policy", lambda x=x: program(x)) for x in (0.2, 0.5))
+    seen = []
+    while first.poll() is None or second.poll() is None:
+        clock.sleep(0.01)
+        seen += [] if heard.now is None else [heard.now.T_base_tool[0, 3]]
+    assert set(seen) == {0.2, 0.5} and seen == sorted(seen), "the second one once the first one has ended"
 
 
 def test_of_an_absolute_engagement_no_policy_steers_and_the_service_says_so(ros, node, tracker):

@@ -155,7 +155,8 @@ def test_a_policy_and_marks_of_episodes_are_asked_for_where_they_can_be(page):
     assert [(command.name, command.value) for command in page.obeyed] == [
         ("policy", True), ("policy", False), ("mark", ("discard", "")), ("mark", ("again", "")),
     ]  # fmt: skip
-    assert page("$('rows').textContent") == "Leaderpolicy" and page(OVERLAPS) == ""
+    assert page("document.querySelector('.leader').textContent") == "The tool is led by: policy"
+    assert page(OVERLAPS) == ""
     page.changes.update(policy=False)
     page.until(lambda: page("!document.querySelector('.policy').offsetParent"), what="no buttons")
 

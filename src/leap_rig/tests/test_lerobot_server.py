@@ -1,5 +1,8 @@
 """What lerobot_server.py answers by what the rig publishes, and what it publishes itself."""
 
+import signal
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -13,8 +16,10 @@ import tf2_ros
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from std_srvs.srv import SetBool
 
 from kuka_msgs.msg import jointPositions, jointTorquesExternal
+from leap_rig.lerobot.ros import server_program
 from leap_rig.lerobot.ros.server_program import RigDesk, _parser
 from reflex_msgs.msg import Finger, Hand, Motor, RadianServoCommands
 from rig_msgs.msg import PolicyActions, TeleopState
@@ -27,9 +32,11 @@ LATE_S = 0.1
 class PublishedRig:
     """Publishes what the rig does; `without` it leaves out."""
 
-    def __init__(self):
+    def __init__(self, of=""):
+        self.of = of
         self.topics = {
-            topic: rospy.Publisher(topic, type(message), queue_size=10) for topic, message in self.messages().items()
+            topic: rospy.Publisher(of + topic if topic[:6] != "camera" else topic, type(message), queue_size=10)
+            for topic, message in self.messages().items()
         }
         self.tf = tf2_ros.TransformBroadcaster()
 
@@ -48,12 +55,12 @@ class PublishedRig:
             if topic not in without:
                 self.topics[topic].publish(message)
         if MEASURED not in without:
-            self.place(MEASURED, tool)
+            self.place(self.of + MEASURED, tool, f"{self.of}kuka/base_frame")
         clock.sleep(LATE_S)
 
-    def place(self, frame, x):
+    def place(self, frame, x, parent="kuka/base_frame"):
         at = Transform(Vector3(x, 0.0, 0.4), Quaternion(0.0, 0.0, 0.0, 1.0))
-        self.tf.sendTransform(TransformStamped(Header(0, rospy.Time.now(), "kuka/base_frame"), frame, at))
+        self.tf.sendTransform(TransformStamped(Header(0, rospy.Time.now(), parent), frame, at))
 
 
 @pytest.fixture
@@ -62,7 +69,7 @@ def published(virtual_graph):
 
 
 def desk(moves=True):
-    made = RigDesk({"color": "camera/rgb/image_raw"}, 90, moves)
+    made = RigDesk({"color": "/camera/rgb/image_raw"}, 90, moves)
     clock.sleep(LATE_S)
     return made
 
@@ -141,6 +148,52 @@ def test_actions_go_to_who_leads_the_tool_which_says_why_it_does_not(published, 
     message = sent[-1]
     assert (message.header.frame_id, message.period) == ("kuka/base_frame", 0.3) and len(message.tool) == 1
     assert (message.tool[0].position.x, message.tool[0].orientation.w, message.fingers[0]) == (0.52, 1.0, 0.5)
+
+
+def test_a_second_program_that_steers_is_told_who_does_and_a_reading_one_is_not(virtual_graph, monkeypatch):
+    monkeypatch.setattr(server_program, "LerobotServer", lambda *_: SimpleNamespace(close=lambda: None))
+    rospy.Service("leap_kuka/run_policy", SetBool, lambda request: (True, ""))
+    first = virtual_graph.run("leap_rig", "lerobot_server.py", "--moves")
+    clock.sleep(1.0)
+    second = virtual_graph.run("leap_rig", "lerobot_server.py", "--moves")
+    assert second.wait(5.0) == 1 and "sends actions already, and two programs cannot steer" in second.log
+    assert "/lerobot_server_" in second.log
+    reading = virtual_graph.run("leap_rig", "lerobot_server.py")
+    elsewhere = virtual_graph.run("leap_rig", "lerobot_server.py", "--moves", "__ns:=left", "--socket", "/x")
+    clock.sleep(1.0)
+    assert [one.poll() for one in (first, reading, elsewhere)] == [None] * 3
+    for one in (first, reading):
+        one.send_signal(signal.SIGINT)
+        assert one.wait(5.0) == 0, one.log
+    assert elsewhere.wait(30.0) == 1 and "is not offered" in elsewhere.log, "its own arm has no such service"
+
+
+def test_where_no_program_can_steer_the_server_says_so(virtual_graph, monkeypatch):
+    monkeypatch.setattr(server_program, "LerobotServer", lambda *_: SimpleNamespace(close=lambda: None))
+    rospy.Service("leap_kuka/run_policy", SetBool, lambda request: (not request.data, "A program needs more."))
+    refused = virtual_graph.run("leap_rig", "lerobot_server.py", "--moves")
+    assert refused.wait(5.0) == 1 and "A program needs more." in refused.log
+
+
+def test_of_two_arms_the_one_of_its_namespace_is_served(virtual_graph):
+    rospy.set_param("/left/tf_prefix", "left")
+    found, sent = [], virtual_graph.record("left/leap_kuka/policy_actions", PolicyActions)
+    rig = PublishedRig("left/")
+
+    def serve():
+        rospy.init_node("lerobot_server")
+        made = desk()
+        for _ in range(4):
+            clock.sleep(0.5)
+            found.append((made.answer({"do": "observe"})[0]["state"], made.answer({"do": "act", "action": action()})))
+
+    server = virtual_graph.start("lerobot_server.py", serve, "lerobot_server.py", "__ns:=left")
+    while server.poll() is None:
+        rig.place("left/kuka/base_frame", 5.0, "world")
+        rig.publish()
+    assert server.wait(1.0) == 0 and len(found) == 4, server.log
+    assert found[-1][0]["tool.x"] == 0.5 and found[-1][0]["kuka_joint_3.pos"] == 2.0
+    assert sent[-1].header.frame_id == "left/kuka/base_frame" and sent[-1].tool[0].position.x == 0.5
 
 
 def test_what_is_no_action_is_refused_and_not_sent(published, virtual_graph):

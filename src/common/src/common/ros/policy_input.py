@@ -11,19 +11,21 @@ import rospy
 from common import clock
 from common.action_stream import MOST_ACTIONS, ActionChunk, ActionStream, PolicyAction, check_chunk
 from common.ros.conversions import pose_from_message
+from common.ros.raw_tf import publisher_of
 
 POLICY_ACTIONS = "leap_kuka/policy_actions"
 
 
 class PolicyInput:
-    """Takes the messages for an arm and its hand; what is refused is logged once. `message_type`: PolicyActions; `of`:
-    namespace of the arm with a slash, in a node for several; `base`: its base frame; `motors`: of its hand."""
+    """Takes the messages of one program at a time for an arm and its hand; what is refused is logged once.
+    `message_type`: PolicyActions; `of`: namespace of the arm with a slash, in a node for several; `base`: its base
+    frame; `motors`: of its hand."""
 
     def __init__(self, message_type: type, base: str, motors: int, of: str = "") -> None:
         self._base, self._motors = base, motors
         self._stream = ActionStream()
         self._lock = clock.Lock()
-        self._refused = ""
+        self._refused = self._program = ""
         rospy.Subscriber(of + POLICY_ACTIONS, message_type, self._on_actions, queue_size=1, tcp_nodelay=True)
 
     @property
@@ -37,6 +39,11 @@ class PolicyInput:
             self._stream.clear()
 
     def _on_actions(self, message: Any) -> None:
+        program = publisher_of(message)
+        if program != self._program and self.now is not None:
+            other = f"{program} sends actions while those of {self._program} hold"
+            rospy.logwarn_throttle(10.0, "The policy's actions are refused: %s.", other)
+            return
         try:
             # From here on by the monotonic clock: that of ROS may be set, or stand.
             start = clock.monotonic() + (message.header.stamp - rospy.Time.now()).to_sec()
@@ -44,12 +51,12 @@ class PolicyInput:
             check_chunk(chunk, self._motors, clock.monotonic())
         except ValueError as error:
             self.clear()
-            refused = str(error)
-            if re.sub(r"[-\d.]+", "", refused) != self._refused:
-                rospy.logwarn("The policy's actions are refused: %s.", refused)
-            self._refused = re.sub(r"[-\d.]+", "", refused)
+            refused = re.sub(r"[-\d.]+", "", str(error))
+            if refused != self._refused:
+                rospy.logwarn("The policy's actions are refused: %s.", error)
+            self._refused = refused
             return
-        self._refused = ""
+        self._refused, self._program = "", program
         with self._lock:
             self._stream.take(chunk, clock.monotonic())
 

@@ -67,13 +67,14 @@ class FramePoses:
         found = self._transforms.get(child)
         return found[2] if found is not None else 0.0
 
-    def chain(self, frame: str) -> tuple[str, Pose7] | None:
-        """Returns the root that a frame hangs on, maybe by others, and its pose there; None in a circle."""
+    def chain(self, frame: str, top: str = "") -> tuple[str, Pose7] | None:
+        """Returns the root that a frame hangs on, maybe by others, or `top` below it, and its pose there; None in a
+        circle."""
         longest = 64
         whole: Pose7 = IDENTITY
         for _ in range(longest):
             found = self._transforms.get(frame)
-            if found is None:
+            if found is None or frame == top:
                 return frame, whole
             frame, numbers, _ = found
             whole = compose(numbers, whole)

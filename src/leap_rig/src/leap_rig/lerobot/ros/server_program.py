@@ -1,4 +1,5 @@
-"""The program lerobot_server.py: lets LeRobot's programs see the rig, and with --moves move it."""
+"""The program lerobot_server.py: lets LeRobot's programs see the rig, and with --moves move it. In a namespace, __ns,
+it serves the arm of that namespace."""
 
 from __future__ import annotations
 
@@ -26,8 +27,9 @@ from common.robot_hand import HAND, hand_state
 from common.ros.compressed_images import jpeg_from_image
 from common.ros.files import home
 from common.ros.node import join, run_program
+from common.ros.params import arm_frames
 from common.ros.policy_input import POLICY_ACTIONS
-from common.ros.service_calls import call
+from common.ros.service_calls import ask_master, call, listens
 from common.teleop_record import LED
 from kuka_msgs.msg import jointPositions, jointTorquesExternal
 from leap_rig.cockpit.frame_poses import FramePoses, Pose7
@@ -53,9 +55,10 @@ class RigDesk:
         self._cameras, self._quality, self._moves = cameras, quality, moves
         self._lock = clock.Lock()
         self._newest: dict[str, tuple[float, Any]] = {}
-        self._poses = FramePoses()
+        self._poses, self._frames = FramePoses(), arm_frames()
         self._acted = self._acts_since = float("-inf")
-        self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
+        if moves:
+            self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
         for topic, kind in (
             ("kuka/joint_positions", jointPositions),
             ("kuka/joint_torques_external", jointTorquesExternal),
@@ -104,17 +107,18 @@ class RigDesk:
         return message
 
     def _tool(self, frame: str) -> Pose7 | None:
-        """Returns the pose of a frame in the base; None if it is old or does not lead there."""
+        """Returns the pose of a frame of the arm in its base; None if it is old or does not lead there."""
+        frame, base = self._frames(frame), self._frames(BASE)
         with self._lock:
             fresh = clock.monotonic() - self._poses.received(frame) < SILENT_S
-            chain = self._poses.chain(frame) if fresh else None
-        return chain[1] if chain is not None and chain[0] == BASE else None
+            chain = self._poses.chain(frame, base) if fresh else None
+        return chain[1] if chain is not None and chain[0] == base else None
 
     def _state(self) -> dict[str, float]:
         joints, torques = self._of("kuka/joint_positions"), self._of("kuka/joint_torques_external", SLOW_S)
         tool = self._tool(TOOL_MEASURED)
         if tool is None:
-            raise DeviceError(f"{TOOL_MEASURED} has said nothing, so there is no observation.")
+            raise DeviceError(f"{self._frames(TOOL_MEASURED)} has said nothing, so there is no observation.")
         state = {f"{name}.pos": getattr(joints, f"joint_{i}") for i, name in enumerate(JOINTS, 1)}
         state.update({f"{name}.torque": getattr(torques, f"joint_{i}") for i, name in enumerate(JOINTS, 1)})
         return {**state, **dict(zip(FINGERS, self._angles())), **dict(zip(POSE, tool))}
@@ -150,7 +154,7 @@ class RigDesk:
         length = math.hypot(*q)
         pose = Pose(Point(x, y, z), Quaternion(*(part / length for part in q)))
         fingers = [float(action[name]) for name in FINGERS]
-        self._actions.publish(PolicyActions(Header(0, rospy.Time.now(), BASE), HOLDS_S, [pose], fingers))
+        self._actions.publish(PolicyActions(Header(0, rospy.Time.now(), self._frames(BASE)), HOLDS_S, [pose], fingers))
         return self._not_led()
 
     def _not_led(self) -> str:
@@ -173,18 +177,24 @@ def main() -> None:
 
 def serve(options: argparse.Namespace) -> int:
     """Serves until it is interrupted; returns the exit code."""
-    join("lerobot_server")
+    join("lerobot_server", anonymous=True)
+    other = _who_steers() if options.moves else ""
+    if other:
+        raise DeviceError(f"{other} sends actions already, and two programs cannot steer: end it, or omit --moves.")
     interrupted = clock.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
     desk = RigDesk({camera_name(topic): topic for topic in options.camera}, options.quality, options.moves)
-    path = options.socket or Path(os.environ.get("ROS_HOME") or home() / ".ros") / "leap_rig" / "lerobot.sock"
+    name = "_".join(["lerobot", *filter(None, rospy.get_namespace().split("/"))])  # one for each arm
+    path = options.socket or Path(os.environ.get("ROS_HOME") or home() / ".ros") / "leap_rig" / f"{name}.sock"
     server = LerobotServer(path, desk.answer)
     may = "may move the tool" if options.moves else "only reads"
     print(f"LeRobot {may}, by {path}.", flush=True)
     try:
         if options.moves:
-            call(RUN_POLICY, SetBool, True, timeout=ANSWER_S, wait=THERE_S)
+            answer = call(RUN_POLICY, SetBool, True, timeout=ANSWER_S, wait=THERE_S)
+            if not answer.success:
+                raise DeviceError(answer.message)
         while not interrupted.wait(POLL_S) and not rospy.is_shutdown():
             pass
     finally:
@@ -194,10 +204,17 @@ def serve(options: argparse.Namespace) -> int:
     return 0
 
 
+def _who_steers() -> str:
+    """Returns the name of a program that sends actions to this arm; empty if none does. Raises MasterLost."""
+    topic = rospy.resolve_name(POLICY_ACTIONS)
+    publishers = dict(ask_master("getSystemState")[0]).get(topic, [])
+    return next((node for node in publishers if listens(ask_master("lookupNode", node))), "")
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="lerobot_server.py", description=__doc__.partition("\n")[0])
     parser.add_argument("--moves", action="store_true", help="actions bring the tool where no hand steers it")
-    where = "file of the socket (default: ~/.ros/leap_rig/lerobot.sock)"
+    where = "file of the socket (default: ~/.ros/leap_rig/lerobot.sock; lerobot_left.sock in the namespace left)"
     parser.add_argument("--socket", type=Path, metavar="FILE", help=where)
     images = f"topics of its images (default: {COLOR}); none: no images"
     parser.add_argument("--camera", nargs="*", default=[COLOR], metavar="TOPIC", help=images)
