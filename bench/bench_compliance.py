@@ -1,5 +1,6 @@
-"""A stiff and a soft arm in contact: a cup in the hand presses on a wall, and goes into a ring with 2 mm of play that
-is not where it should be. The arm hears the robot application's own words. The cup is welded to the palm, so that what
+"""A stiff arm, a soft one, and a stiff one that gives way by the PC's admittance in contact: a cup in the hand presses
+on a wall, and goes into a ring with 2 mm of play that is not where it should be. The arm hears the robot application's
+own words, the admittance of the force every 40 ms, as the toolbox tells it. The cup is welded to the palm, so that what
 gives way is the arm; the fingers touch nothing. Simulated time: the same on every machine."""
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from bench.measure import Row, number
 from common.frames import FLANGE
 from common.poses import pose, translation
 from common.rotations import rotation_about
+from kuka_control.model.admittance import Admittance, AdmittanceSettings
 from rig_simulation.devices.sunrise.application import ControllerIO
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.leap_rig import LeapRigApplication
@@ -28,7 +30,14 @@ from rig_simulation.world.parts import ArmJoints, HandPart
 from rig_simulation.world.physics import World
 
 HOME_DEG = np.array([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
-ARMS = {"stiff": "lrStiff_", "soft": "lrSoftTool_500_500_1000_100_100_100_0.7_20_100_20_100_1_"}
+GIVES_WAY = "admittance"
+ARMS = {
+    "stiff": "lrStiff_",
+    "soft": "lrSoftTool_500_500_1000_100_100_100_0.7_20_100_20_100_1_",
+    GIVES_WAY: "lrStiff_",
+}
+COLOURS = ("tab:red", "tab:blue", "tab:green")
+ADMITTANCE, FORCE_S = AdmittanceSettings(), 0.04  # as kuka_control has it; how often the toolbox tells the force
 TIP_M = 0.22  # of the cup's bottom from the flange
 CUP_RADIUS_M, PLAY_M, RING_DEPTH_M, CHAMFER_M, PLATES = 0.035, 0.002, 0.03, 0.004, 24
 ABOVE_M, INTO_M = 0.01, 0.022  # the cup begins so far above the ring, and is to go so deep into it
@@ -108,6 +117,8 @@ class Trial:
         self._world.add(HandPart())
         self._arm = SimulatedArm(robot, ArmSettings(speed_limit=math.inf, tool_weight=True), ArmJoints(self._world))
         self._application, self._now = LeapRigApplication(self._arm, ControllerIO()), 0.0
+        self._admittance = Admittance(ADMITTANCE) if kind == GIVES_WAY else None
+        self._given, self._force, self._told = np.zeros(3), np.zeros(3), -math.inf
         self._times: list[float] = []
         self._forces: list[float] = []
         self.say("lrHello_1_")
@@ -146,11 +157,20 @@ class Trial:
             if self._application.phase != "SERVO":
                 return
             T = self._arm.robot.flange(self._goal) @ self._arm.T_flange_tool
-            twist = np.concatenate([T[:3, :3].T @ way / steps, np.zeros(3)])
+            twist = np.concatenate([T[:3, :3].T @ (way / steps + self._gives_way()), np.zeros(3)])
             J = self._arm.robot.jacobian(self._goal, self._arm.T_flange_tool)
             self._goal = self._goal + J.T @ np.linalg.solve(J @ J.T, twist)
             self.say(_goal(self._goal))
             self._wait()
+
+    def _gives_way(self) -> np.ndarray:
+        """Returns by how much more than before the goal gives way to the force on the tool, shape (3,) [m]."""
+        if self._admittance is None:
+            return np.zeros(3)
+        if self._now - self._told >= FORCE_S:
+            self._told, self._force = self._now, self._arm.tool[:3, :3] @ self._arm.tool_force
+        before, self._given = self._given, self._admittance.step(self._force, self._now - self._told, GOAL_S)
+        return self._given - before
 
     def press(self, way: np.ndarray) -> Contact:
         """Moves the cup by a way and waits there; returns what came of it."""
@@ -224,7 +244,7 @@ def plot(path: Path) -> None:
     found: dict[str, list[tuple[float, list[Contact]]]] = {kind: [] for kind in ARMS}
     for kind, offset, contacts in tries(False):
         found[kind].append((offset, contacts))
-    for kind, colour in zip(ARMS, ("tab:red", "tab:blue")):
+    for kind, colour in zip(ARMS, COLOURS):
         against = pressed(kind)
         wall.plot(against.times, against.forces, color=colour, label=f"{kind}, {against.forces[-1]:.0f} N at the end")
         one = dict(found[kind])[3.0][0]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,7 @@ from common import clock
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.leap_rig_server import LeapRigServer
+from rig_simulation.devices.sunrise.leap_rig_words import WORDS, read
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.server import ServerSettings
 from rig_simulation.files import read_urdf
@@ -43,6 +45,15 @@ GOALS = [
     ("stopDirectServoJoints", DONE),
 ]  # fmt: skip
 """The same, of words that set goals or outputs, which a real robot is not asked."""
+OLD = [
+    *(f"DcSeCar{suffix}_" for suffix in ("ExT", "MT", "JP", "EEfP", "EEfFrelEEF", "")),
+    *(f"velJDC{suffix}_" for suffix in ("ExT", "MT", "JP", "EEfP", "")),
+    *(f"cArtixanPosition{suffix}_" for suffix in ("Circ1", "Circ2", "")),
+    *(f"doPTPinCS{suffix}" for suffix in ("RelBase", "RelEEF", "Circle1", "")), "doPTP!inCS", "doPTP!CSCircle1",
+    "stDcEEf_", "stVelDcJoint_", "startSmartImpedneceJoints", "handGuiding", "preciseHandGuiding1",
+    "preciseHandGuiding2",
+]  # fmt: skip
+"""Words of the toolbox that our client does not use: a client that says hello has none of them."""
 STATE = rf"state_[A-Z]+_({NUMBER}){{28}}[A-Z0-9]+_[A-Z]+_[A-Z0-9]+_" "\n"
 TOOL, HOME = "lrTool_1_0_0_60_0_0_106_0_0_0_", "jp_-0.78540_0.52360_0.00000_-1.39626_0.00000_1.22173_0.00000_"
 ABILITIES = "watchdog_stop_contact_tool_soft_float_guide_state"
@@ -61,6 +72,7 @@ OURS_STILL = [
     ("TFtrans_0_0_x_", "no_TFtrans_field 3 is not a number_\n"),
     ("jRelVel_", "no_jRelVel_0 numbers came, 1 are needed_\n"),
     ("doPTP!inJS" + "_1" * 22, "no_doPTP!inJS_22 numbers came, 0 to 21 are needed_\n"),
+    *((f"{word}_1_1_1_1_1_1_", f"no_{word.rstrip('_')}_not offered to a client that says hello_\n") for word in OLD),
     ("x" * 1025, NOTHING), ("lrWatchdog_2_60_", "ok_lrWatchdog_2.0_60.0_\n"),
     ("lrWatchdog_0.01_1_", "no_lrWatchdog_the first time is 0.01 s, but must be 0.05 to 2.0_\n"),
     ("lrWatchdog_1_61_", "no_lrWatchdog_the second time is 61.0 s, but must be above the first and at most 60.0_\n"),
@@ -106,6 +118,14 @@ def robot(request, processes, wait_until):
     return ("127.0.0.1", int(found[1])), True
 
 
+def test_both_know_the_same_words_and_each_has_a_case():
+    java = (Path(__file__).parents[1] / "java" / "leaprig" / "Word.java").read_text()
+    assert sorted(re.findall(r'^    [A-Z_0-9]+\("([^"]+)", Kind', java, re.M)) == sorted(w.text for w in WORDS)
+    cases = [line for line, _ in STILL + GOALS + OURS_STILL + OURS_GOALS] + ["end", "lrGuide_"]
+    found = {read(line).word for line in cases}
+    assert [word.text for word in WORDS if word not in found] == []
+
+
 def test_words_are_answered_alike(robot, line_to):
     address, may_move = robot
     client = line_to(*address)
@@ -123,6 +143,7 @@ def answered_otherwise(client, words):
         came = "".join(client.hear() for _ in range(expected.count("\n")))
         client.send("getPin3")
         rest = client.hear() + client.hear()
+        print(f"{word[:40]:40} | {came[:60]!r}")  # the table of words and answers, with pytest -s
         if not re.fullmatch(expected, came) or rest not in ("1\n\n", "0\n\n"):
             wrong.append((word, came, rest))
     return wrong

@@ -179,14 +179,14 @@ final class Session {
     }
 
     private String refusal(Request request) {
+        if (request.word.old()) return "not offered to a client that says hello";
         String no = request.refusal();
         Word.Kind kind = request.word.kind;
         if (no == null && (kind == Word.Kind.JOINT_GOAL || request.word == Word.GOAL_STATE)) {
             int joint = Limits.outside(request.numbers);
             if (joint >= 0) no = "joint " + (joint + 1) + " is " + request.numbers[joint] + " rad, beyond its range";
         }
-        boolean goal = kind == Word.Kind.JOINT_GOAL || kind == Word.Kind.POSE_GOAL || kind == Word.Kind.SPEED_GOAL;
-        if (no == null && (goal || request.word == Word.GOAL_STATE) && mode == Mode.HELD) no = "held: " + held;
+        if (no == null && (kind == Word.Kind.JOINT_GOAL || request.word == Word.GOAL_STATE) && mode == Mode.HELD) no = "held: " + held;
         return no;
     }
 
@@ -576,6 +576,7 @@ final class Session {
                 made = new Motion(Motion.Kind.LINE, target, null, speed);
                 break;
             case CIRCLE:
+            case GUARDED_CIRCLE:
                 double[] through = new double[6];
                 copy(via, through);
                 copy(end, target);

