@@ -73,24 +73,33 @@ def desired_places(rig):
     return np.array([T[:3, 3] for T in rig.desired])
 
 
-def test_a_policy_moves_arm_and_fingers_and_the_operator_takes_over_without_a_jump(rig, policy):
+@pytest.mark.parametrize("takeovers", [5, pytest.param(100, marks=[pytest.mark.long, pytest.mark.timeout(3600)])])
+def test_a_policy_moves_arm_and_fingers_and_the_operator_takes_over_without_a_jump(rig, policy, takeovers):
     rig.wait_for_mode("servo")
     rig.watch(4.0)
     ways = np.ptp([sample.T_base_tool[:3, 3] for sample in rig.arm.since(rig.arm.now.time - 4.0)], axis=0)
     assert ways[:2].min() > 0.05 and ways[2] < 0.01, "the circle"
     assert np.abs(np.subtract(rig.robot_hand.ask("state")["angles"], FINGERS)).max() < 0.2 < min(FINGERS[:3])
-    rng, stood = np.random.default_rng(1), []
-    for _ in range(5):
+    rng, stood, changes = np.random.default_rng(1), [], []
+    for _ in range(takeovers):
         rig.watch(float(rng.uniform(0.5, 2.0)))
         rig.hand.show()
         rig.wait(lambda: rig.stream_state == "running", "the operator to take over")
+        changes.append(len(rig.desired))
         rig.watch(1.0)
         stood.append(np.ptp(np.array([T[:3, 3] for T in rig.desired[-50:]]), axis=0).max())
         rig.hand.hide()
         rig.wait(lambda: rig.stream_state == "waiting" and "a program steers" in rig.stream[-1][1], "the policy again")
+        changes.append(len(rig.desired))
     steps = np.linalg.norm(np.diff(desired_places(rig), axis=0), axis=1)
+    at = np.concatenate([steps[change - 5 : change + 5] for change in changes])  # frames around each change
     # A chunk begins 8 mm ahead; while it fades in, the tool moves with three times the policy's speed at most.
-    assert steps.max() <= 3.0 * SPEED_M_S * PERIOD_S
+    bound = 3.0 * SPEED_M_S * PERIOD_S
+    largest = (
+        f"largest step {1e3 * steps.max():.2f} mm, at a change {1e3 * at.max():.2f} mm, bound {1e3 * bound:.2f} mm"
+    )
+    print(f"{takeovers} takeovers: {largest}")
+    assert steps.max() <= bound
     assert max(stood) < 0.01
     assert not [text for _, _, text in rig.said if "safety stop" in text.lower()]
 
