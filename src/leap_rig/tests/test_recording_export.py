@@ -536,6 +536,29 @@ def test_hdf5_and_rows_of_mcap_hold_what_the_dataset_has(tmp_path, capsys):
 
 
 @pytest.mark.ros
+def test_images_of_another_size_keep_their_colours_and_whole_depths(tmp_path):
+    folder = seen_and_felt(tmp_path / "one")
+    (full,), (small,) = (exported_episodes([folder], 20, "", size=size) for size in (None, [32, 16]))
+    for key, of in small.images().items():
+        assert small.features[key]["shape"] == (16, 32, 3)
+        for image, one in zip(of, full.images()[key]):
+            assert image.shape == (16, 32, 3) and image.dtype == np.uint8
+            if key.endswith("depth"):
+                known = {tuple(pixel) for pixel in one.reshape(-1, 3).tolist()}
+                assert {tuple(pixel) for pixel in image.reshape(-1, 3).tolist()} <= known
+            else:
+                np.testing.assert_allclose(image.mean(axis=(0, 1)), one.mean(axis=(0, 1)), atol=1.0)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("size", ["12x12", "160", "160 x 120", "160x9", "99999x10"])
+def test_a_size_that_is_none_is_refused(size, capsys):
+    with pytest.raises(SystemExit):
+        exported("run", hdf5="set.hdf5", size=size)
+    assert "is no size; one is like 160x120, at least 16 px each" in capsys.readouterr().err
+
+
+@pytest.mark.ros
 def test_rows_begin_with_the_first_image_and_hold_none_of_later(tmp_path):
     """The grey of an image is its time."""
     whole = session(tmp_path / "whole", images=True)
@@ -735,6 +758,7 @@ def test_further_topics_of_the_recording_are_exported_too(tmp_path):
         ("lerobot", {"topic": "/tf"}),
         ("frames", {"topic": "/tf"}),
         ("csv", {"topic": "/tf"}),
+        ("csv", {"size": "160x120"}),
     ],
 )
 def test_what_an_export_would_not_heed_is_refused(tmp_path, to, options):

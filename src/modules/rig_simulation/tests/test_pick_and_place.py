@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from common.rotations import rotation_about
-from rig_simulation.operator.pick_and_place import STEPS, PickAndPlace, PickView
+from rig_simulation.operator.pick_and_place import PICK, STEPS, PickAndPlace, PickView
 from rig_simulation.operator.steering import UP
 
 
@@ -92,3 +92,18 @@ def test_a_hand_turns_no_further_than_the_arm_follows():
     result, steps = work(rig, wanted=1.0)
     assert not result.failure and steps[-1] == "done"
     assert abs(rig.yaw + PLAN.most_turn) < 1e-9
+
+
+def test_a_pick_alone_ends_with_the_object_held_up():
+    rig, steps = FollowingRig(), []
+    person = PickAndPlace(PLAN, CENTER_LINE, PICK)
+    for k in range(1200):
+        result = person.step(PickView(rig.tool, rig.top, rig.top[2] - TOP[2]), k * PERIOD_S)
+        steps += [] if result.step in steps else [result.step]
+        if result.move is not None:
+            rig.make(result.move)
+        if result.over:
+            break
+        rig.advance()
+    assert tuple(steps) == PICK and not result.failure
+    assert rig.curl == 1.0 and rig.top[2] - TOP[2] > PLAN.lift - 2 * PLAN.tolerance

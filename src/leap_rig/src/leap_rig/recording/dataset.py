@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from common.episode_marks import SUCCESS as SUCCEEDED
@@ -42,6 +43,7 @@ class ExportedEpisode(NamedTuple):
     signals: SignalTable
     leader: Mapping[str, np.ndarray]  # POLICY_LED and INTERVENTION, bool, shape (n,)
     cameras: Mapping[str, str]  # topics by key
+    size: Sequence[int] | None  # width and height of the images [px]; None: as they were taken
     features: dict[str, Any]
     about: Mapping[str, Any]
 
@@ -52,18 +54,24 @@ class ExportedEpisode(NamedTuple):
 
     def images(self) -> dict[str, Iterator[np.ndarray]]:
         """Returns the images of each camera by key, one a row."""
-        return {key: images(self.recording, topic, self.rows.times) for key, topic in self.cameras.items()}
+        return {key: images(self.recording, topic, self.rows.times, self.size) for key, topic in self.cameras.items()}
 
 
 def exported_episodes(
-    recordings: Sequence[Path], fps: int, task: str, start: float = 0.0, end: float = ENDLESS, trim: bool = False
+    recordings: Sequence[Path],
+    fps: int,
+    task: str,
+    start: float = 0.0,
+    end: float = ENDLESS,
+    trim: bool = False,
+    size: Sequence[int] | None = None,
 ) -> list[ExportedEpisode]:
     """Returns an episode for each recording; `task` for those that name none; `start` and `end` cut each [s], `trim`
-    cuts what does not move at its ends. Raises RecordingFault if a recording has no task, or the recordings do not fit
-    together."""
+    cuts what does not move at its ends; `size` of the images. Raises RecordingFault if a recording has no task, or the
+    recordings do not fit together."""
     episodes: list[ExportedEpisode] = []
     for recording in recordings:
-        episodes.append(_episode(recording, fps, task, start, end, trim))
+        episodes.append(_episode(recording, fps, task, start, end, trim, size))
         if episodes[-1].features != episodes[0].features:
             raise RecordingFault(f"{recording} has other signals than the first one, so they are not one dataset.")
         for key, rows in episodes[-1].vectors().items():
@@ -80,20 +88,23 @@ def about(episodes: Sequence[ExportedEpisode]) -> dict[str, Any]:
     return {"units": units, "depth": DEPTH_CODE, "episodes": [one.about for one in episodes]}
 
 
-def _episode(recording: Path, fps: int, task: str, start: float, end: float, trim: bool) -> ExportedEpisode:
+def _episode(
+    recording: Path, fps: int, task: str, start: float, end: float, trim: bool, size: Sequence[int] | None
+) -> ExportedEpisode:
     run = read(recording, start, end)
     words = task or run.manifest.get("task", "")
     if not words:
         raise RecordingFault(f"{recording} does not say what is done; give --task, a sentence.")
-    first_images = _first_images(recording)
+    first = _first_images(recording)
     rows = training_episode(run, fps)
-    rows = _part(rows, slice(int(np.searchsorted(rows.times, max(first_images.values(), default=0.0))), None))
+    begins = max((received for received, _ in first.values()), default=0.0)
+    rows = _part(rows, slice(int(np.searchsorted(rows.times, begins)), None))
     if not len(rows.times):
         raise RecordingFault(f"{recording} has a camera without an image in this time.")
     if trim:
         rows = _part(rows, moving(rows.action, fps))
     signals = read_signals(recording, rows.times, run)
-    cameras = {IMAGES + camera_name(topic): topic for topic in first_images}
+    cameras = {IMAGES + camera_name(topic): topic for topic in first}
     robot = run.manifest.get("robot", {}).get("model", {}).get("robot", "unknown")
     origin: dict[str, Any] = {"recording": recording.name, "started": run.manifest.get("started", ""), "robot": robot}
     vector = {"dtype": "float32", "shape": (len(rows.names),), "names": list(rows.names)}
@@ -106,14 +117,14 @@ def _episode(recording: Path, fps: int, task: str, start: float, end: float, tri
     for key, names in signals.names.items():
         features[key] = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
     for key, topic in cameras.items():
-        shapes = {image.shape for image in images(recording, topic, rows.times)}
+        shape = (*(first[topic][1][:2] if size is None else tuple(size)[::-1]), 3)
         kind = "image" if topic == topics.DEPTH else "video"  # a film would not keep the depth
-        features[key] = {"dtype": kind, "shape": next(iter(shapes)), "names": ["height", "width", "channels"]}
+        features[key] = {"dtype": kind, "shape": shape, "names": ["height", "width", "channels"]}
     if (recording / LABEL).exists():
         label = read_label(recording)
         origin.update(asdict(label), success=label.outcome == SUCCEEDED)
         features[SUCCESS] = dict(FLAG)
-    return ExportedEpisode(recording, words, rows, signals, leader, cameras, features, origin)
+    return ExportedEpisode(recording, words, rows, signals, leader, cameras, size, features, origin)
 
 
 def camera_name(topic: str) -> str:
@@ -121,35 +132,49 @@ def camera_name(topic: str) -> str:
     return KNOWN.get(topic) or topic.strip("/").replace("/", "_")
 
 
-def _first_images(recording: Path) -> dict[str, float]:
-    """Returns when the first image came on each topic that has some [s]."""
-    found: dict[str, float] = {}
+def _first_images(recording: Path) -> dict[str, tuple[float, tuple[int, ...]]]:
+    """Returns when the first image came on each topic that has some [s], and its shape. RecordingFault: a size changes,
+    which no video has, or the encoding is one of none."""
+    found: dict[str, tuple[float, tuple[int, ...]]] = {}
+    decode = MessageDecoders()
     for message in between(recording, None, 0.0, ENDLESS):
-        if message.kind.name == IMAGE:
-            found.setdefault(message.topic, 1e-9 * message.received)
+        if message.kind.name != IMAGE:
+            continue
+        fields = decode(message)
+        size = fields["height"], fields["width"]
+        if message.topic not in found:
+            found[message.topic] = 1e-9 * message.received, _picture(message.topic)(fields).shape
+        elif size != found[message.topic][1][:2]:
+            height, width = found[message.topic][1][:2]
+            raise RecordingFault(
+                f"The images of {message.topic} in {recording} are {width} x {height} px, then {size[1]} x {size[0]}: "
+                "a dataset has one size; record each in a run of its own."
+            )
     return dict(sorted(found.items()))
+
+
+def _picture(topic: str) -> Callable[[dict[str, Any]], np.ndarray]:
+    return depth_image if topic == topics.DEPTH else color_image
 
 
 def _part(rows: TrainingEpisode, part: slice) -> TrainingEpisode:
     return replace(rows, times=rows.times[part], state=rows.state[part], action=rows.action[part])
 
 
-def images(recording: Path, topic: str, times: np.ndarray) -> Iterator[np.ndarray]:
-    """Yields for each time the newest image of a topic; before the first one, that one. RecordingFault: their size
-    changes, which no video has."""
+def images(recording: Path, topic: str, times: np.ndarray, size: Sequence[int] | None = None) -> Iterator[np.ndarray]:
+    """Yields for each time the newest image of a topic; before the first one, that one. RecordingFault: another
+    encoding."""
     decode, newest = MessageDecoders(), None
-    picture = depth_image if topic == topics.DEPTH else color_image
+    how = cv2.INTER_NEAREST if topic == topics.DEPTH else cv2.INTER_AREA
     coming_ones = between(recording, [topic], 0.0, ENDLESS)
     coming = next(coming_ones, None)
     for time in times:
-        while coming is not None and (newest is None or coming.received * 1e-9 <= time):
-            image, coming = picture(decode(coming)), next(coming_ones, None)
-            if newest is not None and image.shape != newest.shape:
-                raise RecordingFault(
-                    f"The images of {topic} in {recording} are {newest.shape[1]} x {newest.shape[0]} px, then "
-                    f"{image.shape[1]} x {image.shape[0]}: a dataset has one size; record each in a run of its own."
-                )
-            newest = image
+        late = None
+        while coming is not None and ((newest is None and late is None) or coming.received * 1e-9 <= time):
+            late, coming = coming, next(coming_ones, None)
+        if late is not None:
+            newest = _picture(topic)(decode(late))
+            newest = newest if size is None else cv2.resize(newest, tuple(size), interpolation=how)
         if newest is None:
             return
         yield newest

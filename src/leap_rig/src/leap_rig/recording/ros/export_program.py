@@ -7,6 +7,7 @@ import gzip
 import importlib.util
 import json
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -35,9 +36,10 @@ from leap_rig.recording.run import RecordedRun, read
 from leap_rig.recording.session import OUTCOMES, chosen, episode_folders
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
-PROGRAM = "from leap_rig.recording.{}_export import main; main()"
+PROGRAM = "from {} import main; main()"
 ERRORS = (common.errors.RigError, OSError)
 DATASETS = "lerobot", "hdf5", "rows"  # options that write rows of several recordings
+SMALLEST = 16  # images [px]
 WORKSPACE = Path(__file__).resolve().parents[6]
 
 
@@ -53,7 +55,7 @@ def export(options: argparse.Namespace) -> int:
         manifest, remark = verify(folder)
         if remark:
             print(remark, file=sys.stderr)
-    cut = {"start": options.start, "end": options.end, "trim": options.trim}
+    cut = {"start": options.start, "end": options.end, "trim": options.trim, "size": options.size}
     if options.lerobot is not None:
         return _to_lerobot(folders, options, cut)
     for path, writer in ((options.hdf5, hdf5_export), (options.rows, rows_export)):
@@ -117,9 +119,19 @@ def _refuse_unheeded(options: argparse.Namespace) -> None:
     if options.mcap is not None or options.ros2 is not None:
         return
     to = next(f"--{name}" for name in ("frames", "csv", *DATASETS) if getattr(options, name) is not None)
-    given = {"--topic": options.topic is not None, "--trim": options.trim and to[2:] not in DATASETS}
+    given = {"--topic": options.topic is not None, "--trim": options.trim, "--size": options.size}
+    if to[2:] in DATASETS:
+        given = {"--topic": given["--topic"]}
     for option in (option for option, is_given in given.items() if is_given):
         raise RecordingFault(f"{option} is not for {to}, so nothing is written; leave it out.")
+
+
+def _size(text: str) -> list[int]:
+    """The type of --size."""
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    if found is None or min(map(int, found.groups())) < SMALLEST:
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; one is like 160x120, at least {SMALLEST} px each")
+    return [int(one) for one in found.groups()]
 
 
 def _line(text: str) -> bytes | None:
@@ -138,9 +150,8 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace, cut: Mapping[s
             "recordings": [str(folder.resolve()) for folder in folders],
             "folder": str(options.lerobot.resolve()),
         }
-        code = _elsewhere(
-            "LeRobot", "lerobot", options.python, {**request, "fps": options.fps, "task": options.task, **cut}
-        )
+        request.update(fps=options.fps, task=options.task, **cut)
+        code = run_elsewhere("LeRobot", "lerobot", lerobot_export.__name__, options.python, request)
         if code:
             return code
     print(f"Wrote the dataset {options.lerobot}.")
@@ -149,22 +160,23 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace, cut: Mapping[s
 
 def _to_ros2(folder: Path, options: argparse.Namespace) -> int:
     request = {"recording": str(folder.resolve()), "folder": str(options.ros2.resolve()), "topics": options.topic}
-    code = _elsewhere("ROS 2", "ros2", options.python, {**request, "start": options.start, "end": options.end})
+    request.update(start=options.start, end=options.end)
+    code = run_elsewhere("ROS 2", "ros2", "leap_rig.recording.ros2_export", options.python, request)
     if not code:
         print(f"Wrote the bag {options.ros2}.")
     return code
 
 
-def _elsewhere(name: str, target: str, given: Path | None, request: dict[str, Any]) -> int:
-    """Runs an export in the environment of a library of this name, which a target of make installs; returns the exit
-    code. Raises RecordingFault without it."""
+def run_elsewhere(name: str, target: str, module: str, given: Path | None, request: dict[str, Any]) -> int:
+    """Runs a module's `main` in the environment of a library of this name, which a target of make installs; returns the
+    exit code. Raises RecordingFault without it."""
     python = given or WORKSPACE / f".venv-{target}" / "bin" / "python"
     if not python.is_file():
         raise RecordingFault(
             f"{name} is not installed: {python} is missing. `make {target}` installs it in the clone; from an install "
             f"space, name the clone's .venv-{target}/bin/python with --python."
         )
-    command = [str(python), "-c", PROGRAM.format(target), json.dumps(request)]
+    command = [str(python), "-c", PROGRAM.format(module), json.dumps(request)]
     environment = {"PYTHONPATH": ":".join(map(str, SOURCES)), "HF_HUB_OFFLINE": "1", "HOME": str(Path.home())}
     return subprocess.run(command, env=environment, check=False).returncode
 
@@ -185,6 +197,8 @@ def _parser() -> argparse.ArgumentParser:
     to.add_argument("--rows", type=Path, metavar="FILE", help="the same rows as one MCAP file of JSON messages")
     parser.add_argument("--fps", type=whole(1, most_fps), default=30, help="rows a second of the dataset (default: 30)")
     parser.add_argument("--trim", action="store_true", help="of a dataset: leave out what does not move at the ends")
+    small = "width and height of its images, such as 160x120 (default: as they were taken)"
+    parser.add_argument("--size", type=_size, metavar="WxH", help=small)
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
     python = "Python with LeRobot, or with ROS 2 (default: that of `make lerobot` or `make ros2`)"
     parser.add_argument("--python", type=Path, help=python)

@@ -75,14 +75,16 @@ class PickStep:
 
 
 STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "away", "done")
+PICK = (*STEPS[:6], "done")
+"""Without putting it down."""
 
 
 class PickAndPlace:
     """The operator at work; call `step` about ten times a second. `center_line`: direction of the workspace, shape
-    (3,), z = 0; the hand points along it when it comes in."""
+    (3,), z = 0; the hand points along it when it comes in. `steps`: of STEPS."""
 
-    def __init__(self, plan: Plan, center_line: np.ndarray) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, center_line: np.ndarray, steps: tuple[str, ...] = STEPS) -> None:
+        self._plan, self._steps = plan, steps
         self._hand = SteeringHand(plan, center_line)
         self._step = 0
         self._since: float | None = None
@@ -90,7 +92,7 @@ class PickAndPlace:
 
     def step(self, view: PickView, now: float) -> PickStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
-        name = STEPS[self._step]
+        name = self._steps[self._step]
         self._hand.see(view.grip, now)
         if name == "done":
             return PickStep(name)
@@ -106,7 +108,7 @@ class PickAndPlace:
                 return PickStep(name, self._hand.shift(error, now, turn))
         self._step += 1
         self._since, self._target = now, None
-        return self._begin(STEPS[self._step], view, now)
+        return self._begin(self._steps[self._step], view, now)
 
     def _begin(self, name: str, view: PickView, now: float) -> PickStep:
         plan = self._plan

@@ -22,6 +22,7 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import (
     ASSISTED_GRASP,
     BY_CLUTCH,
+    EPISODES,
     HAND_OVER,
     LOOPBACK,
     TWO_CUPS,
@@ -30,6 +31,7 @@ from rig_simulation.node_parameters import (
     OperatorConfig,
 )
 from rig_simulation.ros.hand_over import HandOverScenario
+from rig_simulation.ros.rounds import EpisodesScenario
 from rig_simulation.ros.scenarios import AssistedScenario, ClutchScenario, PickScenario, WallScenario
 
 NAME = "operator"
@@ -63,6 +65,8 @@ class Operator:
             ClutchScenario(name, name == TWO_HANDS, self._leapd, world).run()
         elif name == TWO_CUPS:
             self._pick_with_all(name)
+        elif name == EPISODES:
+            EpisodesScenario(self._config.rounds, self._config.seed, self._leapd, world).run()
         elif name == HAND_OVER:
             HandOverScenario(name, self._leapd, world, self._config.arms).run()
         elif name:

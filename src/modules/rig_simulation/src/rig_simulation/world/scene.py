@@ -162,11 +162,13 @@ class WorldScene:
     scatter: float  # largest random offset of objects in x and y [m]; 0 places them exactly
     objects: Mapping[str, SceneObject]  # by name
     posts: Mapping[str, Post] = dataclasses.field(default_factory=dict)  # by name
+    light: float = 1.0  # factor on its brightness
 
 
 @dataclasses.dataclass(frozen=True)
 class _Rest:
     scatter: float = number("m", low=0.0, high=0.2)
+    light: float = number(low=0.1, high=2.0, doc="factor on the brightness", absent=1.0)
 
 
 def scene_from(values: Any) -> WorldScene:
@@ -185,7 +187,8 @@ def scene_from(values: Any) -> WorldScene:
     if faults or rest is None or table is None or camera is None:
         raise ConfigError(faults)
     objects = {name: shape for name, shape in shapes.items() if shape is not None}
-    return WorldScene(table, camera, rest.scatter, objects, {name: post for name, post in posts.items() if post})
+    stand = {name: post for name, post in posts.items() if post}
+    return WorldScene(table, camera, rest.scatter, objects, stand, rest.light)
 
 
 def board_from(values: Any) -> MarkerBoard:
