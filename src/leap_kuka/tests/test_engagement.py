@@ -395,6 +395,7 @@ def test_nothing_is_led_that_nobody_allowed_and_the_permission_ends_with_control
     assert "run_policy" in machine.teleop.lead(HOME, machine.now)
     machine = allowed()
     machine.switch(False)
+    assert machine.teleop.allow_lead(True, machine.now) == "control of the arm is off"
     machine.switch(True)
     assert "run_policy" in machine.teleop.lead(HOME, machine.now)
     machine = allowed()

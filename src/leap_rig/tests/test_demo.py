@@ -16,6 +16,7 @@ from rig_simulation.control_port import ControlClient
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
+from std_srvs.srv import Trigger, TriggerResponse
 
 from rig_msgs.msg import KukaStatus
 from rig_msgs.srv import ChooseArm
@@ -103,6 +104,24 @@ def test_the_simulated_operator_picks_a_cup_up_and_puts_it_down(demo):
     assert summary["servo_goals_sent"] > 6000 and max(summary["hand_travel_rad"]) > 1.5
     assert summary["tracking_error"]["commanded"]["rms_mm"] < 2.0
     assert summary["hand_to_arm_ms"]["p50"] < 70.0
+
+
+def test_the_simulated_operator_records_episodes_of_a_cup_that_stands_elsewhere_each_time(demo):
+    marks, places = [], []
+
+    def mark(name):
+        marks.append(name)
+        seen = ControlClient("127.0.0.1", WORLD_PORT).ask("objects")["objects"]["cup"]
+        places.append(seen["position"][:2] if name == "begin" else seen["clearance"])
+        return TriggerResponse(True, "")
+
+    for name in ("begin", "success", "failure"):
+        rospy.Service(f"episodes/{name}", Trigger, lambda _, name=name: mark(name))
+    summary = report_of(demo("--scenario", "episodes", rounds=2, seed=3), 90.0)
+    assert summary["faults"] == [] and summary["nodes_died"] == [] and summary["safety_stops"] == 0
+    assert marks == ["begin", "success"] * 2 and np.linalg.norm(np.subtract(places[2], places[0])) > 0.02
+    assert places[1] > 0.1 and places[3] > 0.1, "the cup is up at the end of each"
+    assert summary["scenario"]["good"] == summary["scenario"]["rounds"] == "2"
 
 
 def test_an_arm_that_hangs_from_the_ceiling_follows(demo):

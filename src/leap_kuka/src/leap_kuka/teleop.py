@@ -183,11 +183,12 @@ class ArmTeleop:
         """Lets a program steer from now on, or no longer; returns why not, a part of a sentence, or an empty text. The
         permission ends by itself: with control, with the tool that an engagement has left, and where no pose comes for
         LEAD_GONE_S."""
-        self._lead_allowed, self._lead_at = allowed and self._keeps, now
+        fault = _first(((not self._keeps, NEVER_LED), (not self._control_on, CONTROL_IS_OFF))) if allowed else ""
+        self._lead_allowed, self._lead_at = allowed and not fault, now
         self.lead_fault = ""
         if not allowed:
             self._fire(EngagementTrigger.LEAD_LOST, now, "the program was stopped")
-        return NEVER_LED if allowed and not self._keeps else ""
+        return fault
 
     def lead(self, T_base_tool: np.ndarray, now: float) -> str:
         """Brings the tool, while no hand steers it, to the next pose of a program, shape (4, 4) [m]; returns why not,

@@ -23,7 +23,7 @@ simulated operator tolerates an error of 4 mm.
 """
 SCENARIO_KEYS = (
     "scenario", "step", "failure", "thing", "giver", "taker", "smallest_mm", "held_s", "way_back",
-    "clutched", "travel_mm", "engagement_step_mm", "round", "good",
+    "clutched", "travel_mm", "engagement_step_mm", "rounds", "good",
 )  # fmt: skip
 COUNTERS = {
     "servo_goals_sent": ("kuka_control", "goals_sent"),
@@ -164,8 +164,8 @@ def scenario_faults(summary: dict) -> list[str]:
     elif scenario is not None and "clutched" in scenario:
         faults += _clutch_faults(scenario)
     elif scenario is not None and "good" in scenario:
-        if scenario["good"] != scenario["round"]:
-            faults.append("The scenario {scenario} lifted the cup in {good} of {round} rounds.".format(**scenario))
+        if scenario["good"] != scenario["rounds"]:
+            faults.append("The scenario {scenario} lifted the cup in {good} of {rounds} rounds.".format(**scenario))
     elif scenario is not None and not _held_back(scenario) and scenario["scenario"] != TUTORIAL:
         seen = summary["objects"]
         meant = [seen[name] for name in ([scenario["thing"]] if "thing" in scenario else seen) if name in seen]
@@ -381,7 +381,7 @@ def scenario_lines(summary: dict) -> list[str]:
                 "{way_back}".format(**summary["scenario"])
             )
         if "good" in summary["scenario"]:
-            lines.append("  lifted                 in {good} of {round} rounds".format(**summary["scenario"]))
+            lines.append("  lifted                 in {good} of {rounds} rounds".format(**summary["scenario"]))
         if "clutched" in summary["scenario"]:
             text = "clutched {clutched} times, tool travel {travel_mm} mm, largest step at an engagement "
             lines.append(f"{'':25}{text.format(**summary['scenario'])}{summary['scenario']['engagement_step_mm']} mm")

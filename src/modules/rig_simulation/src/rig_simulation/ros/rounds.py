@@ -28,7 +28,7 @@ OPEN_S = 1.5  # for the fingers
 
 
 class RoundsScenario(Scenario):
-    """`rounds` of one task, the first with the scene of `seed`. Publishes `round`, and of those that are over `good`
+    """`rounds` of one task, the first with the scene of `seed`. Publishes `rounds`, and of those that are over `good`
     and `seconds`."""
 
     name: str
@@ -114,7 +114,7 @@ class RoundsScenario(Scenario):
 
     def _publish(self, result: PickStep, **more: str) -> None:
         seconds = ",".join(f"{one:.1f}" for one in self._seconds)
-        super()._publish(result, round=str(self._round), good=str(self._good), seconds=seconds, **more)
+        super()._publish(result, rounds=str(self._round), good=str(self._good), seconds=seconds, **more)
 
     @abc.abstractmethod
     def _end(self) -> None:
