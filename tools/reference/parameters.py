@@ -57,6 +57,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "leap_kuka/config/webcam.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "leap_kuka/config/relative_device.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "leap_kuka/config/relative_pinch.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
+    "leap_kuka/config/relative_policy.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "leap_kuka/config/relative_two_hands.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "leap_kuka/config/relative_arm_choice.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "grasping/config/collection.yaml": (

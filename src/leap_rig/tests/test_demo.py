@@ -18,7 +18,8 @@ pytest.importorskip("rig_msgs.srv")
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
-from rig_msgs.msg import KukaStatus
+from common.teleop_record import LED
+from rig_msgs.msg import KukaStatus, TeleopState
 from rig_msgs.srv import ChooseArm
 from simulated.hand_wire import HandNetwork
 
@@ -27,6 +28,8 @@ pytestmark = pytest.mark.ros
 END_S = 30.0
 """Longest time that a node may take to its end."""
 ROBOT_CONTROL_PORT, WORLD_PORT = 30011, 30021
+SEED = 1002
+"""Of a scene that the shipped policy manages."""
 CEILING = Path(__file__).parents[2] / "kuka_control" / "config" / "ceiling.yaml"
 WITHOUT_WORLD = {"world": "false"}
 """For tests in which nothing is touched: physics takes time."""
@@ -244,3 +247,15 @@ def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(
         assert max(part["hand_travel_rad"]) > 1.0
     box = summary["objects"]["box"]
     assert box["picked_and_placed"] and box["at_m"][1] < -0.1
+
+
+def test_the_shipped_policy_lifts_a_cup_and_the_operator_takes_over_and_gives_back(demo):
+    states = []
+    rospy.Subscriber("leap_kuka/state", TeleopState, lambda m: states.append((m.state, m.hold)), queue_size=100)
+    summary = report_of(demo("--scenario", "policy", rounds=1, seed=SEED), 90.0)
+    assert summary["faults"] == [] and summary["nodes_died"] == [] and summary["safety_stops"] == 0
+    assert (summary["scenario"]["good"], summary["scenario"]["taken"]) == ("1", "1")
+    assert summary["objects"]["cup"]["lifted_mm"] > 50.0
+    led = [hold == LED for _, hold in states]
+    taken = states.index(("running", "taken"))
+    assert led.index(True) < taken and any(led[taken:]), "it leads, is taken over, and leads again"

@@ -23,7 +23,7 @@ simulated operator tolerates an error of 4 mm.
 """
 SCENARIO_KEYS = (
     "scenario", "step", "failure", "thing", "giver", "taker", "smallest_mm", "held_s", "way_back",
-    "clutched", "travel_mm", "engagement_step_mm", "rounds", "good",
+    "clutched", "travel_mm", "engagement_step_mm", "rounds", "good", "taken",
 )  # fmt: skip
 COUNTERS = {
     "servo_goals_sent": ("kuka_control", "goals_sent"),
@@ -382,6 +382,8 @@ def scenario_lines(summary: dict) -> list[str]:
             )
         if "good" in summary["scenario"]:
             lines.append("  lifted                 in {good} of {rounds} rounds".format(**summary["scenario"]))
+        if "taken" in summary["scenario"]:
+            lines.append("  the operator took over in {taken} of them".format(**summary["scenario"]))
         if "clutched" in summary["scenario"]:
             text = "clutched {clutched} times, tool travel {travel_mm} mm, largest step at an engagement "
             lines.append(f"{'':25}{text.format(**summary['scenario'])}{summary['scenario']['engagement_step_mm']} mm")

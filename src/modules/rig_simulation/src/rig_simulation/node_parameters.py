@@ -9,7 +9,8 @@ from common.config import choice, flag, integer, names, number, text
 LOOPBACK = "127.0.0.1"
 PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS = "pick_cup", "assisted_grasp", "wall", "clutch", "two_hands"
 TWO_CUPS, HAND_OVER = "two_cups", "hand_over"
-EPISODES = "episodes"
+EPISODES, POLICY = "episodes", "policy"
+NEVER, ONCE, NEEDED = WHEN = "never", "once", "needed"
 OF_SEVERAL_ARMS = ("", TWO_CUPS, HAND_OVER)
 
 
@@ -101,14 +102,17 @@ class OperatorConfig:
     )
     world_port: int = integer(low=1, high=65535, doc="control port of the simulated world, for scenarios", absent=30021)
     scenario: str = choice(
-        *("", PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS, TWO_CUPS, HAND_OVER, EPISODES),
+        *("", PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS, TWO_CUPS, HAND_OVER, EPISODES, POLICY),
         doc="what the hand does; empty: what the simulated Leap service plays",
         absent="",
     )
     rounds: int = integer(
-        low=1, high=1000, doc="of assisted_grasp and episodes: how many grasps there are to be", absent=1
+        low=1, high=1000, doc="of assisted_grasp, episodes and policy: how many grasps there are to be", absent=1
     )
-    seed: int = integer(low=0, high=2**31 - 1, doc="of episodes: of the first scene", absent=0)
+    seed: int = integer(low=0, high=2**31 - 1, doc="of episodes and policy: of the first scene", absent=0)
+    takes_over: str = choice(
+        *WHEN, doc="of policy: when the operator does, never, once in the first round, or where needed", absent=NEVER
+    )
     time_out: float = number("s", above=0.0, doc="longest time to wait for each thing", absent=300.0)
 
     def faults(self) -> list[str]:

@@ -25,13 +25,14 @@ from rig_simulation.node_parameters import (
     EPISODES,
     HAND_OVER,
     LOOPBACK,
+    POLICY,
     TWO_CUPS,
     TWO_HANDS,
     WALL,
     OperatorConfig,
 )
 from rig_simulation.ros.hand_over import HandOverScenario
-from rig_simulation.ros.rounds import EpisodesScenario
+from rig_simulation.ros.rounds import EpisodesScenario, PolicyScenario
 from rig_simulation.ros.scenarios import AssistedScenario, ClutchScenario, PickScenario, WallScenario
 
 NAME = "operator"
@@ -67,6 +68,8 @@ class Operator:
             self._pick_with_all(name)
         elif name == EPISODES:
             EpisodesScenario(self._config.rounds, self._config.seed, self._leapd, world).run()
+        elif name == POLICY:
+            PolicyScenario(self._config.rounds, self._config.seed, self._config.takes_over, self._leapd, world).run()
         elif name == HAND_OVER:
             HandOverScenario(name, self._leapd, world, self._config.arms).run()
         elif name:

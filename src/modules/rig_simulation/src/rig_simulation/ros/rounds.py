@@ -1,24 +1,26 @@
-"""Several rounds, each with another scene: the operator picks the cup up each time. Where record_episodes.py runs, each
-round is an episode of it."""
+"""Scenarios of several rounds, each with another scene: the operator picks the cup up each time (`episodes`), or a
+policy does and the operator takes over (`policy`). Where record_episodes.py runs, each round is an episode of it."""
 
 from __future__ import annotations
 
 import abc
+import math
 from typing import Any
 
 import numpy as np
 import rospy
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from common import clock
 from common.errors import RigError
 from common.modes import Mode
 from common.ros.service_calls import ServiceFailed, call
 from kuka_msgs.srv import setGripperControl, setKukaControl
-from rig_simulation.node_parameters import EPISODES
+from rig_simulation.node_parameters import EPISODES, NEEDED, NEVER, POLICY
 from rig_simulation.operator import assisted_grasp as assisted
 from rig_simulation.operator.cup_scenes import CUP, cup_scene
 from rig_simulation.operator.pick_and_place import PICK, PickAndPlace, PickStep, PickView, Plan
+from rig_simulation.operator.steering import Move
 from rig_simulation.ros.scenarios import PERIOD_S, SERVICE_TIMEOUT_S, Scenario
 from rig_simulation.world.scene import scene_from
 
@@ -147,3 +149,84 @@ class EpisodesScenario(RoundsScenario):
 
     def _end(self) -> None:
         pass
+
+
+class PolicyScenario(RoundsScenario):
+    """A program that publishes leap_kuka/policy_actions picks up, for at most `longest` s. `takes_over`: when the
+    operator does. Also publishes `taken`, in how many rounds that was."""
+
+    name = POLICY
+    longest = 20.0
+
+    def __init__(self, rounds: int, seed: int, takes_over: str, leapd: Any, world: Any) -> None:
+        super().__init__(rounds, seed, leapd, world)
+        self._takes_over, self._taken = takes_over, 0
+
+    def _start(self) -> None:
+        self._operator: PickAndPlace | _Nudge | None = None
+        self._gave_back = False
+        self._mark("begin")
+        self._wait(lambda: self._let(True), "the policy may steer")
+        self._began = clock.monotonic()
+
+    def _step(self, now: float) -> PickStep:
+        view, spent = self.view, now - self._began
+        if self._operator is not None:
+            return self._helped(self._operator, view, now)
+        if self._lifted(now):
+            return PickStep("done")
+        if spent > self.longest:
+            return PickStep("policy", failure=f"the policy did not lift the cup within {self.longest:g} s")
+        if self._takes_over != NEVER and not self._gave_back and self._needs_help(view, spent):
+            self._operator = (
+                PickAndPlace(Plan(), self._arm.center_line, PICK) if self._takes_over == NEEDED else _Nudge()
+            )
+            self._taken += 1
+            self._show_hand()
+        return PickStep("policy")
+
+    def _helped(self, operator: PickAndPlace | _Nudge, view: PickView, now: float) -> PickStep:
+        result = operator.step(view, now)
+        if result.over and isinstance(operator, PickAndPlace):
+            return result
+        if not result.over:
+            return PickStep(f"hand: {result.step}", result.move)
+        self._leapd.ask(assisted.HIDE)
+        self._operator, self._gave_back = None, True
+        self._began = now
+        return PickStep("policy")
+
+    def _needs_help(self, view: PickView, spent: float) -> bool:
+        late_s, low_m, aside_m, nudge_s = 11.0, 0.11, 0.025, 2.5
+        if self._takes_over != NEEDED:
+            return self._round == 1 and spent > nudge_s
+        aside = math.hypot(*(view.grip - view.top)[:2])
+        return view.clearance < LIFTED_M and (
+            spent > late_s or (view.grip[2] - view.top[2] < low_m and aside > aside_m)
+        )
+
+    def _end(self) -> None:
+        self._let(False)
+
+    @staticmethod
+    def _let(on: bool) -> bool:
+        service = "leap_kuka/run_policy"
+        return bool(call(service, SetBool, on, timeout=SERVICE_TIMEOUT_S, wait=SERVICE_TIMEOUT_S).success)
+
+    def _publish(self, result: PickStep, **more: str) -> None:
+        super()._publish(result, taken=str(self._taken), **more)
+
+
+class _Nudge:
+    """A hand that leads the tool aside once it follows, and is done."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+
+    def step(self, view: PickView, now: float) -> PickStep:
+        """Takes an observation at the time `now` [s]; returns what to do."""
+        aside_m, moves_s, stays_s = (0.06, 0.03, 0.0), 1.2, 2.5
+        if self._since is None and view.following:
+            self._since = now
+            return PickStep("aside", Move(np.array(aside_m), 0.0, 0.0, moves_s))
+        return PickStep("done" if self._since is not None and now - self._since > stays_s else "wait")

@@ -1,0 +1,1 @@
+"""Policies that are trained on recorded episodes: what they see and say, their network, training and file."""

@@ -1,0 +1,1 @@
+"""The program run_policy.py."""

@@ -1,0 +1,189 @@
+"""What policies see and say, their file, and what is learned from which rows."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from common.camera_model import pinhole
+from common.errors import RigError
+from common.poses import pose
+from common.rotations import rotation_about, rotation_from_zyx
+from leap_rig.policy.view import (
+    ABOVE_M,
+    ACTION,
+    BELOW_M,
+    CELL_M,
+    CELLS,
+    STATE,
+    STRIDE,
+    DepthView,
+    action_numbers,
+    desired_tool,
+    height_map,
+    state_numbers,
+)
+
+pytest.importorskip("torch")
+import torch
+
+from leap_rig.policy.network import PolicyAbout, PolicyNetwork, loaded, saved
+from leap_rig.policy.training import CHUNK, Samples, trained, upcoming
+
+ABOUT = PolicyAbout("Pick the cup up", 10, CHUNK, 3)
+ANGLE, SMALL, PLACE = st.floats(-3.0, 3.0), st.floats(-0.4, 0.4), st.floats(-0.3, 0.3)
+DOWN = rotation_about(0, np.pi)
+
+
+def tool(yaw=0.0, tilt=0.0, p=(0.4, -0.3, 0.3)):
+    return pose(rotation_from_zyx(yaw, tilt, 0.0) @ DOWN, np.array(p))
+
+
+def moved(turn, by):
+    """A turn of the whole scene about the vertical, and a shift on the table."""
+    return pose(rotation_about(2, turn), np.array([*by, 0.0]))
+
+
+@settings(max_examples=40)
+@given(ANGLE, SMALL, ANGLE, PLACE, PLACE)
+def test_a_scene_that_is_turned_and_shifted_with_the_tool_looks_and_is_done_alike(yaw, tilt, turn, dx, dy):
+    T, M = tool(yaw, tilt), moved(turn, (dx, dy))
+    goal = tool(yaw + 0.3, -tilt, (0.45, -0.2, 0.25))
+    fingers, contacts = np.arange(4.0), np.zeros((3, 9))
+    assert_allclose(action_numbers(M @ T, M @ goal, fingers), action_numbers(T, goal, fingers), atol=1e-5)
+    assert_allclose(state_numbers(M @ T, fingers, contacts), state_numbers(T, fingers, contacts), atol=1e-5)
+    # In the middle of cells, or rounding would decide.
+    level = np.array([[0.105, -0.055, -0.1], [0.105, -0.055, -0.2], [-0.205, 0.005, -0.3]])
+    points = level @ rotation_about(2, np.arctan2(T[1, 0], T[0, 0])).T + T[:3, 3]
+    seen = height_map(points @ M[:3, :3].T + M[:3, 3], M @ T)
+    assert_allclose(seen, height_map(points, T), atol=1e-6)
+    assert_allclose(seen[CELLS // 2 + 10, CELLS // 2 - 6], -0.1, atol=1e-6)
+    assert_allclose(seen[CELLS // 2 - 21, CELLS // 2], -0.3, atol=1e-6)
+    assert (seen > -BELOW_M).sum() == 2
+
+
+@settings(max_examples=40)
+@given(ANGLE, SMALL, ANGLE, PLACE, st.floats(0.5, 2.0))
+def test_an_action_means_the_tool_that_it_was_made_of_whatever_the_length_of_its_axes(yaw, tilt, turn, dx, length):
+    T, goal = tool(yaw, tilt), tool(turn, -tilt, (0.4 + dx, -0.3, 0.2))
+    numbers = action_numbers(T, goal, np.zeros(4)).astype(float)
+    numbers[3:9] *= length
+    assert_allclose(desired_tool(T, numbers), goal, atol=1e-5)
+
+
+@pytest.mark.parametrize("axes", [[1.0, 0, 0, 2.0, 0, 0], [0.0] * 6, [np.nan, 0, 0, 0, 1, 0]])
+def test_numbers_that_are_no_orientation_are_refused(axes):
+    with pytest.raises(ValueError, match="the policy's numbers are no orientation"):
+        desired_tool(tool(), np.array([0.0, 0.0, 0.1, *axes, *[0.0] * 4]))
+
+
+def test_the_map_shows_the_highest_points_between_its_bounds():
+    T = tool()
+    x, y = T[:2, 3]
+    heights = [0.2, 0.25, 0.3 + ABOVE_M + 0.01, 0.3 - BELOW_M - 0.01]
+    points = [[x + 0.002, y + 0.002, z] for z in heights] + [[x + CELLS * CELL_M, y, 0.2], [x, y - 1.0, 0.2]]
+    seen = height_map(np.array(points), T)
+    assert_allclose(seen.max(), -0.05, atol=1e-6)
+    assert (seen > -BELOW_M).sum() == 1
+
+
+def test_a_camera_sees_points_where_they_are():
+    camera = pinhole("depth", 64, 48, [[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1.0]])
+    T = pose(rotation_about(0, np.pi), np.array([0.4, -0.3, 1.0]))
+    depth = np.full((48, 64), np.nan)
+    depth[10, 20], depth[11, 21], depth[20, 40], depth[0, 0] = 0.9, 0.9, 5.0, 0.0
+    (point,) = DepthView(camera).points(depth, T)
+    expected = T[:3, :3] @ (0.9 * np.array([(20 - 31.5) / 60.0, (10 - 23.5) / 60.0, 1.0])) + T[:3, 3]
+    assert_allclose(point, expected) and STRIDE == 2
+    with pytest.raises(ValueError, match="the depth image is 32 x 48 px, unlike its camera_info"):
+        DepthView(camera).points(depth[:, :32], T)
+
+
+def test_a_finger_feels_by_how_much_of_it_is_touched():
+    contacts = np.zeros((3, 9))
+    contacts[1, :3] = contacts[2] = 1.0
+    state = state_numbers(tool(), np.arange(4.0), contacts.ravel())
+    assert state.dtype == np.float32 and state.shape == (STATE,)
+    assert_allclose(state[-3:], [0.0, 1.0 / 3.0, 1.0])
+    assert_allclose(state[[0, 7, 8, 9, 10]], [0.3, 0.0, 1.0, 2.0, 3.0])
+
+
+def test_a_policy_says_the_same_from_its_file():
+    torch.manual_seed(0)
+    network = PolicyNetwork(ABOUT).eval()
+    network.action_mean += 0.5
+    heights, state = np.zeros((CELLS, CELLS), np.float32), np.ones(STATE, np.float32)
+    again = loaded(saved(network))
+    assert again.about == ABOUT and again.act(heights, state).shape == (CHUNK, ACTION)
+    assert_allclose(again.act(heights, state), network.act(heights, state))
+
+
+def test_files_that_are_no_policy_are_refused_in_a_sentence():
+    content = torch.load(io.BytesIO(saved(PolicyNetwork(ABOUT))), weights_only=True)
+    for wrong, why in (
+        ({**content, "schema": 2}, "The policy is not of this release: It is of schema 2"),
+        ({**content, "cells": 10}, "with 10 cells"),
+        ({**content, "about": {}}, "The file holds no policy"),
+        ({**content, "state": {}}, "The file holds no policy"),
+    ):
+        file = io.BytesIO()
+        torch.save(wrong, file)
+        with pytest.raises(RigError, match=why):
+            loaded(file.getvalue())
+    with pytest.raises(RigError, match="The file holds no policy"):
+        loaded(b"nothing")
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60))
+def test_a_chunk_ends_where_no_hand_leads_and_holds_its_last_action(led):
+    index, there = upcoming(np.array(led))
+    for i in range(len(led)):
+        run = 0
+        while run < CHUNK and i + 1 + run < len(led) and led[i + 1 + run]:
+            run += 1
+        assert there[i].sum() == run and there[i][:run].all()
+        if run:
+            assert_allclose(index[i], i + 1 + np.minimum(np.arange(CHUNK), run - 1))
+
+
+def blobs(count, rng):
+    """Rows in which the tool shall go to the only thing in view."""
+    cells, maps = rng.integers(6, CELLS - 6, (count, 2)), np.full((count, CELLS, CELLS), -BELOW_M)
+    for one, (row, column) in zip(maps, cells):
+        one[row - 3 : row + 4, column - 3 : column + 4] = -0.2
+    actions = np.zeros((count, CHUNK, ACTION), np.float32)
+    actions[:, :, :2] = CELL_M * (cells + 0.5 - CELLS / 2)[:, None]
+    state = np.zeros((count, STATE), np.float32)
+    return Samples(maps.astype(np.float16), state, actions, np.ones((count, CHUNK), bool))
+
+
+def test_a_policy_learns_to_go_to_what_it_sees_where_nothing_was_shown():
+    rng, losses = np.random.default_rng(0), []
+    shown, new = [blobs(100, rng), blobs(100, rng)], blobs(50, rng)
+    network = trained(shown, ABOUT, 250, 1, losses.append)
+    assert len(losses) == 250
+    wanted = new.actions[:, 0, :2]
+    off = np.linalg.norm(places_said(network, new) - wanted, axis=1)
+    assert np.median(off) < 0.01 < 0.1 * np.median(np.linalg.norm(wanted, axis=1))
+    blind = trained(shown, replace(ABOUT, map=False), 30, 1, losses.append)
+    assert np.ptp(places_said(blind, new), axis=0).max() < 1e-9
+
+
+def places_said(network, new):
+    acts = [network.act(one.astype(np.float32), state) for one, state in zip(new.maps, new.state)]
+    return np.array(acts)[:, 0, :2]
+
+
+def test_rows_that_no_hand_led_are_not_learned_from():
+    rng = np.random.default_rng(0)
+    good, bad = blobs(60, rng), blobs(60, rng)
+    bad = bad._replace(actions=bad.actions + 1e3, there=np.zeros_like(bad.there))
+    heights, state = good.maps[0].astype(np.float32), good.state[0]
+    alone, both = (trained(parts, ABOUT, 5, 1, lambda _: None).act(heights, state) for parts in ([good], [good, bad]))
+    assert_allclose(alone, both)
