@@ -178,7 +178,7 @@ PROGRAMS = {
 ELSEWHERE = {
     "collect_shown_grasp.py", "move.py", "simple_controller.py", "teach.py", "hand_wizard.py", "demo.py",
     "lerobot_server.py", "record.py", "record_episodes.py", "replay.py", "ros2_bridge.py", "calibrate_camera.py",
-    "workspace_plotter.py", "register_rgbd_node.py", "stereo_web_node.py",
+    "run_policy.py", "workspace_plotter.py", "register_rgbd_node.py", "stereo_web_node.py",
 }  # fmt: skip
 """Programs that talk with a person, or need a device or a recording: the tests of their packages start them."""
 

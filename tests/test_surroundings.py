@@ -105,6 +105,8 @@ PROGRAMS = [
     Program("leap_rig/relay.py", ("serve", "--port", "0", "--key", "{images}/none", "--page", "cockpit=1"), ALONE),
     Program("leap_rig/replay.py", ("{images}/none", "--view"), ALONE),
     Program("leap_rig/ros2_bridge.py"),
+    Program("leap_rig/run_policy.py", ("{images}/none",), ALONE),
+    Program("leap_rig/train_policy.py", ("{images}/none", "--out", "{new}/policy.pt"), ALONE),
     Program("leap_rig/tutorial.py"),
     Program("reflex/reflex_takktile_driver.py"),
     Program("rig_simulation/camera_node.py"),

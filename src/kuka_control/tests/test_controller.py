@@ -26,6 +26,7 @@ class Arm:
         self.errors, self.remarks = [], []
         self.silent = 0.0
         self.round_trip, self.abilities, self.carry = 0.0, frozenset(), lambda mass: None
+        self.reckoned = False, 0.0
         self.state = ArmState()
         self.measured_joints, self.fresh = Q, True
         self.ptp_arrived = self.read = self.stop_servo = self.start_servo = self._ask
