@@ -33,7 +33,7 @@ from reflex_msgs.msg import Hand
 from rig_msgs.msg import PolicyActions
 
 INFO = "/camera/depth/camera_info"
-SILENT_S, SLOW_S = 0.3, 1.0  # older measurements, and images, are no observation
+SILENT_S, SLOW_S = 0.3, 3.0  # older measurements, and images, which a busy machine renders seldom, are none
 READ_BYTES = 2**22  # of a subscriber's buffer: rospy's own is smaller than an image
 
 

@@ -156,7 +156,7 @@ class PolicyScenario(RoundsScenario):
     operator does. Also publishes `taken`, in how many rounds that was."""
 
     name = POLICY
-    longest = 20.0
+    longest = 30.0
 
     def __init__(self, rounds: int, seed: int, takes_over: str, leapd: Any, world: Any) -> None:
         super().__init__(rounds, seed, leapd, world)
