@@ -4,7 +4,6 @@ that of `make demo`, with rates of campaign/rig.yaml and a camera of 6 images a 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
 import os
@@ -20,11 +19,11 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from campaign import rig as real
-from campaign.arm_trace import ArmTrace
+from campaign.arm_trace import ArmTrace, Sample
 from campaign.judge import FULL_SPEED, Limits
 from common.command_line import whole
 from kuka_control.model.rig import Rig, checked_rig
-from kuka_control.model.workspace import Infeasible
+from kuka_control.model.workspace import Infeasible, Workspace
 from leap_rig.operator.ros.speaker import Speaker
 from leap_rig.recording.ros import record_program
 from rig_msgs.msg import GuardState, KukaStatus
@@ -43,11 +42,10 @@ GUARD_OFF_M, OUTSIDE_M = 0.002, 0.01  # what an arm that follows is off by
 def main() -> None:
     options = _parser().parse_args()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    patch = pytest.MonkeyPatch()
     git = SimpleNamespace(run=lambda *_, **__: SimpleNamespace(stdout=""), TimeoutExpired=TimeoutError)
-    patch.setattr(record_program, "subprocess", git)  # processes have no virtual time
-    patch.setattr(Speaker, "play", lambda *_: None)
-    with contextlib.closing(SimpleNamespace(close=patch.undo)), Graph(options.seed) as graph, HandNetwork():
+    with pytest.MonkeyPatch.context() as patch, Graph(options.seed) as graph, HandNetwork():
+        patch.setattr(record_program, "subprocess", git)  # processes have no virtual time
+        patch.setattr(Speaker, "play", lambda *_: None)
         result = run(graph, options)
     print(json.dumps(result))
     if options.json:
@@ -129,16 +127,23 @@ class Progress:
         """Counts the arm's samples since the look before that break a limit."""
         if self._arm is None or self._rig is None:
             return
-        limits, samples = Limits(), self._arm.samples
-        self._arm.samples = []
+        samples, self._arm.samples = self._arm.samples, []
         for one in samples:
-            where = one.T_base_tool[:3, 3]
-            allowed = self._rig.workspace.constrain(where)
-            self.broken["joint speed"] += bool(np.any(np.abs(one.v) > limits.joint_speed * FULL_SPEED))
-            self.broken["tool speed"] += one.tool_speed > limits.tool_speed
-            outside = isinstance(allowed, Infeasible) or np.linalg.norm(allowed.position - where) > OUTSIDE_M
-            self.broken["workspace"] += self._mode == KukaStatus.SERVO and bool(outside)
-            self.broken["safety stop"] += one.safety_stop is not None
+            self.broken.update(broken_by(one, self._rig.workspace, self._mode == KukaStatus.SERVO))
+
+
+def broken_by(sample: Sample, workspace: Workspace, servo: bool) -> list[str]:
+    """Returns which limits the arm breaks in a sample; the workspace counts in `servo` mode alone."""
+    limits, where = Limits(), sample.T_base_tool[:3, 3]
+    allowed = workspace.constrain(where)
+    outside = isinstance(allowed, Infeasible) or float(np.linalg.norm(allowed.position - where)) > OUTSIDE_M
+    kinds = {
+        "joint speed": bool(np.any(np.abs(sample.v) > limits.joint_speed * FULL_SPEED)),
+        "tool speed": sample.tool_speed > limits.tool_speed,
+        "workspace": servo and outside,
+        "safety stop": sample.safety_stop is not None,
+    }
+    return [kind for kind, is_broken in kinds.items() if is_broken]
 
 
 def _parser() -> argparse.ArgumentParser:

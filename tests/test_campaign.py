@@ -404,3 +404,23 @@ def test_what_a_message_says_of_the_run_alone_is_left_out():
     assert (
         json.loads(page.as_json({"1": {"named": said}}))["1"]["named"] == "log: [ERROR] devel/lib/a.py and b.log ended"
     )
+
+
+@pytest.mark.ros
+def test_the_experiment_with_policies_counts_each_limit_that_an_arm_breaks():
+    from campaign.arm_trace import Sample
+    from campaign.policy import broken_by
+    from kuka_control.model.workspace import Workspace
+
+    workspace = Workspace(np.array([1.0, 0.0, 0.0]), np.radians(90.0), 0.2, 0.6, 0.5, 0.7, 0.34)
+    T = np.eye(4)
+    T[:3, 3] = workspace.centre
+    still = Sample(0.0, np.zeros(7), np.zeros(7), T, 0.0, "", None, 0, 0, True)
+    assert broken_by(still, workspace, True) == []
+    low, fast = T.copy(), np.zeros(7)
+    low[2, 3], fast[6] = 0.15, np.radians(175.0)
+    assert broken_by(dataclasses.replace(still, T_base_tool=low), workspace, True) == ["workspace"]
+    assert broken_by(dataclasses.replace(still, T_base_tool=low), workspace, False) == []
+    assert broken_by(dataclasses.replace(still, v=-fast), workspace, True) == ["joint speed"]
+    assert broken_by(dataclasses.replace(still, tool_speed=0.72), workspace, True) == ["tool speed"]
+    assert broken_by(dataclasses.replace(still, safety_stop="contact"), workspace, True) == ["safety stop"]

@@ -187,3 +187,56 @@ def test_rows_that_no_hand_led_are_not_learned_from():
     heights, state = good.maps[0].astype(np.float32), good.state[0]
     alone, both = (trained(parts, ABOUT, 5, 1, lambda _: None).act(heights, state) for parts in ([good], [good, bad]))
     assert_allclose(alone, both)
+
+
+@pytest.mark.ros
+def test_an_episode_gives_rows_as_the_camera_and_the_hand_had_them(tmp_path):
+    import rospy
+    from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+    from sensor_msgs.msg import CameraInfo, Image
+    from std_msgs.msg import Header
+    from test_recording_export import START, seen_and_felt, stored, write_recording
+    from tf2_msgs.msg import TFMessage
+
+    from leap_rig.policy.training import samples
+    from leap_rig.recording.recording_files import RecordingFault, messages
+    from rig_msgs.msg import TeleopState
+
+    folder = seen_and_felt(tmp_path / "felt")
+    with pytest.raises(RecordingFault, match="no depth images with their camera_info"):
+        samples(folder)
+    found = [
+        one
+        for one in messages(folder / "messages.mcap")
+        if one.topic not in ("/leap_kuka/state", "/camera/depth/image", "/tf")
+    ]
+    stamp = rospy.Time(0, START)
+    K = [60.0, 0, 47.5, 0, 60.0, 31.5, 0, 0, 1.0]
+    info = CameraInfo(header=Header(0, stamp, "camera"), height=64, width=96, distortion_model="plumb_bob", K=K)
+    info.D, info.R, info.P = [0.0] * 5, np.eye(3).ravel().tolist(), [*K[:3], 0, *K[3:6], 0, *K[6:], 0]
+    found.append(stored("/camera/depth/camera_info", info, 0.0))
+
+    def frame(child, p, q, at=0.0):
+        return TransformStamped(
+            Header(0, stamp + rospy.Duration.from_sec(at), "kuka/base_frame"),
+            child,
+            Transform(Vector3(*p), Quaternion(*q)),
+        )
+
+    # The camera looks down on a table that is 0.7 m below it; the tool is 0.2 m above the table.
+    found.append(stored("/tf_static", TFMessage([frame("camera", (0.4, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))]), 0.0))
+    depth = Image(Header(0, stamp, "camera"), 64, 96, "16UC1", 0, 192, np.full((64, 96), 700, "<u2").tobytes())
+    for i in range(20):
+        at = 0.05 * i
+        found.append(stored("/camera/depth/image", depth, at))
+        tools = [frame(f"kuka/tool_frame/{name}", (0.4 + ahead, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0), at)
+                 for name, ahead in (("measured", 0.0), ("desired", 0.01 * i))]  # fmt: skip
+        found.append(stored("/tf", TFMessage(tools), at))
+        found.append(stored("/leap_kuka/state", TeleopState(state="running", follows=i < 14), at))
+    made = write_recording(tmp_path / "made", sorted(found, key=lambda one: one.received), name="x", task="lift")
+    one, task = samples(made)
+    seen = one.maps[3].astype(float)
+    assert task == "lift" and abs(np.median(seen[seen > -0.39]) + 0.2) < 0.02
+    assert one.there[:3, 0].all() and not one.there[-3:].any()
+    step = one.actions[1, 2, 0] - one.actions[1, 0, 0]
+    assert 0.03 < step < 0.05, "two rows of 0.1 s, in which it goes 0.04 m"

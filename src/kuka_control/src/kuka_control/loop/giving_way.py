@@ -45,7 +45,7 @@ class GivingWay:
 
     def step(self, seen: Observation, now: float) -> np.ndarray:
         """Returns the displacement at a new frame, shape (3,) [m]."""
-        longest = 0.05  # step of time; after a stall the tool goes on as slowly [s]
+        longest = 0.05  # step of time, also after a stall: the tool does not catch up [s]
         dt, self._time = min(now - self._time, longest), now
         if self._stiff:
             return NO_OFFSET

@@ -2,7 +2,7 @@
 
     M x'' + D x' + K x = F,    x: displacement from the desired frame [m], F: force on the tool [N], both in the base.
 
-For a robot that is told joints alone. The measured force is late, and so is the arm: against a body of the stiffness
+For a robot that takes only joints. The measured force is late, and so is the arm: against a body of the stiffness
 k the loop M s^2 + D s + K + k exp(-s T) = 0 is stable up to a delay T alone (`delay_margin`). Impedance control in the
 robot has no such delay. Source: Hogan, Impedance control, 1985; Nyquist's criterion for the delay."""
 

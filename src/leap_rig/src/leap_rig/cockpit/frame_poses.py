@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from operator import mul
-from typing import Sequence
+from typing import Any, Sequence
+
+from common.frames import frame_name
 
 Pose7 = Sequence[float]
 IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -56,6 +59,13 @@ class FramePoses:
         most = 2_000  # frames
         if child in self._transforms or len(self._transforms) < most:
             self._transforms[child] = parent, numbers, now
+
+    def take(self, transforms: Iterable[Any], now: float) -> None:
+        """Takes the transforms of a message of tf, likewise."""
+        for one in transforms:
+            p, q = one.transform.translation, one.transform.rotation
+            numbers = p.x, p.y, p.z, q.x, q.y, q.z, q.w
+            self.put(frame_name(one.header.frame_id), frame_name(one.child_frame_id), numbers, now)
 
     def relative(self, parent: str, child: str) -> Pose7 | None:
         """Returns the pose of a frame in its parent, None if that is unknown."""

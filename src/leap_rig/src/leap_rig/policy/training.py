@@ -18,7 +18,7 @@ from leap_rig.policy.network import PolicyAbout, PolicyNetwork
 from leap_rig.policy.view import ACTION, FINGERS, NOTHING_M, STATE, DepthView, action_numbers, height_map, state_numbers
 from leap_rig.recording import topics
 from leap_rig.recording.dataset import exported_episodes
-from leap_rig.recording.episode import DEPTHS
+from leap_rig.recording.episode import depth_values
 from leap_rig.recording.recording_files import RecordingFault, between
 from leap_rig.recording.run import MessageDecoders
 from leap_rig.recording.signals import AGE
@@ -26,7 +26,7 @@ from leap_rig.recording.signals import AGE
 FPS, CHUNK = 10, 16
 ARM = 7  # joints before the hand's motors in a row
 LEAST = 0.01  # standard deviation by which a number is scaled
-FRESH_S = 0.2  # an older desired tool is none
+FRESH_S = 0.2  # an older desired tool no longer counts
 INFO = "/camera/depth/camera_info"
 
 
@@ -118,10 +118,8 @@ def _camera(info: dict[str, Any]) -> CameraModel:
 
 
 def _depth(image: dict[str, Any]) -> np.ndarray:
-    kind = DEPTHS[image["encoding"]]
-    rows = np.frombuffer(image["data"], np.uint8).reshape(image["height"], image["step"])
-    depth = np.ascontiguousarray(rows[:, : kind.itemsize * image["width"]]).view(kind)
-    return depth if kind.kind == "f" else depth * np.float32(0.001)
+    depth = depth_values(image)
+    return depth if depth.dtype.kind == "f" else depth * np.float32(0.001)
 
 
 def trained(

@@ -76,7 +76,7 @@ def action_numbers(T_base_tool: np.ndarray, T_base_desired: np.ndarray, fingers:
 
 def desired_tool(T_base_tool: np.ndarray, action: np.ndarray) -> np.ndarray:
     """Returns the desired tool in the base, shape (4, 4), that an action means, as a network says it: its two axes need
-    not be quite right. Raises ValueError if they are none."""
+    not be unit vectors at right angles. Raises ValueError if they give no orientation."""
     x, y = action[3:6], action[6:9]
     z = np.cross(x, y)
     if not (np.isfinite(action).all() and np.linalg.norm(z) > 0.1):

@@ -95,7 +95,7 @@ def _episode(
     words = task or run.manifest.get("task", "")
     if not words:
         raise RecordingFault(f"{recording} does not say what is done; give --task, a sentence.")
-    first = _first_images(recording)
+    first = first_images(recording)
     rows = training_episode(run, fps)
     begins = max((received for received, _ in first.values()), default=0.0)
     rows = _part(rows, slice(int(np.searchsorted(rows.times, begins)), None))
@@ -132,7 +132,7 @@ def camera_name(topic: str) -> str:
     return KNOWN.get(topic) or topic.strip("/").replace("/", "_")
 
 
-def _first_images(recording: Path) -> dict[str, tuple[float, tuple[int, ...]]]:
+def first_images(recording: Path) -> dict[str, tuple[float, tuple[int, ...]]]:
     """Returns when the first image came on each topic that has some [s], and its shape. RecordingFault: a size changes,
     which no video has, or the encoding is one of none."""
     found: dict[str, tuple[float, tuple[int, ...]]] = {}

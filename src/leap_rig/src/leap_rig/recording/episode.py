@@ -78,8 +78,8 @@ def color_image(message: dict[str, Any]) -> np.ndarray:
     return np.ascontiguousarray(rows[:, : size * width].reshape(height, width, size)[..., order])
 
 
-def depth_image(message: dict[str, Any]) -> np.ndarray:
-    """Returns a decoded depth image as a picture, shape (height, width, 3), see DEPTH_CODE; RecordingFault: another
+def depth_values(message: dict[str, Any]) -> np.ndarray:
+    """Returns a decoded depth image, shape (height, width), in m as float32 or in mm as uint16; RecordingFault: another
     encoding."""
     height, width, step = message["height"], message["width"], message["step"]
     kind = DEPTHS.get(message["encoding"])
@@ -88,8 +88,14 @@ def depth_image(message: dict[str, Any]) -> np.ndarray:
             f"Depth images of the encoding {message['encoding']!r} cannot be exported; {', '.join(DEPTHS)} can."
         )
     rows = np.frombuffer(message["data"], np.uint8, height * step).reshape(height, step)
-    depth = np.ascontiguousarray(rows[:, : kind.itemsize * width]).view(kind)
-    mm = depth if kind.kind == "u" else np.round(1000.0 * np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0))
+    return np.ascontiguousarray(rows[:, : kind.itemsize * width]).view(kind)
+
+
+def depth_image(message: dict[str, Any]) -> np.ndarray:
+    """Returns a decoded depth image as a picture, shape (height, width, 3), see DEPTH_CODE; RecordingFault: another
+    encoding."""
+    depth = depth_values(message)
+    mm = depth if depth.dtype.kind == "u" else np.round(1000.0 * np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0))
     counts = np.clip(mm, 0, 2**16 - 1).astype(np.uint16)
     return np.stack([counts >> 8, counts & 255, np.zeros_like(counts)], axis=-1).astype(np.uint8)
 

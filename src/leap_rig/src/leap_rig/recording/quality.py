@@ -31,7 +31,7 @@ from common.episode_marks import FAILURE, SUCCESS
 from common.errors import RigError
 from common.hand_delay import Track, hand_delay
 from leap_rig.recording import topics
-from leap_rig.recording.dataset import camera_name, images
+from leap_rig.recording.dataset import camera_name, first_images, images
 from leap_rig.recording.episode import IMAGE, TrainingEpisode, training_episode
 from leap_rig.recording.leader import read_leader
 from leap_rig.recording.recording_files import MESSAGES, between, messages
@@ -335,6 +335,7 @@ def _receipts(folder: Path, found: EpisodeQuality) -> None:
 
 
 def _judge_cameras(folder: Path, times: np.ndarray, found: EpisodeQuality, limits: QualityLimits) -> None:
+    first_images(folder)  # refuses a size that changes
     stamps: dict[str, list[int]] = {}
     sums: dict[str, set[int]] = {}
     for message in between(folder, None, 0.0, math.inf):

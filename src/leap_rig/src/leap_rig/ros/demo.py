@@ -43,6 +43,7 @@ NO_TRACKER = "none"  # a node of the user's own moves the arm
 SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "episodes", "policy", "two_cups", "hand_over")
 OF_ONE_ARM = {
     "tracker": "leap", "world": "true", "recording": "", "offset": "0 0 0", "rounds": "1", "seed": "0", "policy": "",
+    "takes_over": "once",
     "mounting": "",
     "dh_parameters": "", "guard_obstacles": "", "hand_args": "", "camera_device": "0", "video": "", "language": "",
     "camera_fault": "", "camera_rate": "3.0", "web_host": "127.0.0.1",

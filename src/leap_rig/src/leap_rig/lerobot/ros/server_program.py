@@ -22,7 +22,7 @@ from tf2_msgs.msg import TFMessage
 from common import clock
 from common.command_line import whole
 from common.errors import DeviceError, RigError
-from common.frames import BASE, TOOL_DESIRED, TOOL_MEASURED, frame_name
+from common.frames import BASE, TOOL_DESIRED, TOOL_MEASURED
 from common.robot_hand import HAND, hand_state
 from common.ros.compressed_images import jpeg_from_image
 from common.ros.files import home
@@ -90,12 +90,9 @@ class RigDesk:
             self._newest[key] = clock.monotonic(), message
 
     def _transforms(self, topic: str, message: TFMessage) -> None:
-        now = clock.monotonic()
+        received = float("inf") if topic == "/tf_static" else clock.monotonic()
         with self._lock:
-            for one in message.transforms:
-                child, p, q = frame_name(one.child_frame_id), one.transform.translation, one.transform.rotation
-                received = float("inf") if topic == "/tf_static" else now
-                self._poses.put(frame_name(one.header.frame_id), child, (p.x, p.y, p.z, q.x, q.y, q.z, q.w), received)
+            self._poses.take(message.transforms, received)
 
     def _of(self, key: str, oldest: float = SILENT_S) -> Any:
         with self._lock:

@@ -33,7 +33,7 @@ from reflex_msgs.msg import Hand
 from rig_msgs.msg import PolicyActions
 
 INFO = "/camera/depth/camera_info"
-SILENT_S, SLOW_S = 0.3, 3.0  # older measurements, and images, which a busy machine renders seldom, are none
+SILENT_S, SLOW_S = 0.3, 3.0  # older measurements, and older images, are not used: a busy machine renders few
 READ_BYTES = 2**22  # of a subscriber's buffer: rospy's own is smaller than an image
 
 
@@ -73,12 +73,9 @@ class PolicyRunner:
             self._newest[key] = clock.monotonic(), message
 
     def _transforms(self, topic: str, message: TFMessage) -> None:
-        now = clock.monotonic()
+        received = float("inf") if topic == "/tf_static" else clock.monotonic()
         with self._lock:
-            for one in message.transforms:
-                child, p, q = frame_name(one.child_frame_id), one.transform.translation, one.transform.rotation
-                received = float("inf") if topic == "/tf_static" else now
-                self._poses.put(frame_name(one.header.frame_id), child, (p.x, p.y, p.z, q.x, q.y, q.z, q.w), received)
+            self._poses.take(message.transforms, received)
 
     def _of(self, key: str, oldest: float) -> Any:
         with self._lock:

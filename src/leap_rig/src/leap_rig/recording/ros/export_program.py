@@ -36,7 +36,7 @@ from leap_rig.recording.run import RecordedRun, read
 from leap_rig.recording.session import OUTCOMES, chosen, episode_folders
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
-PROGRAM = "from {} import main; main()"
+PROGRAM = "from leap_rig.recording.{}_export import main; main()"
 ERRORS = (common.errors.RigError, OSError)
 DATASETS = "lerobot", "hdf5", "rows"  # options that write rows of several recordings
 SMALLEST = 16  # images [px]
@@ -150,8 +150,9 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace, cut: Mapping[s
             "recordings": [str(folder.resolve()) for folder in folders],
             "folder": str(options.lerobot.resolve()),
         }
-        request.update(fps=options.fps, task=options.task, **cut)
-        code = run_elsewhere("LeRobot", "lerobot", lerobot_export.__name__, options.python, request)
+        code = _elsewhere(
+            "LeRobot", "lerobot", options.python, {**request, "fps": options.fps, "task": options.task, **cut}
+        )
         if code:
             return code
     print(f"Wrote the dataset {options.lerobot}.")
@@ -160,23 +161,22 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace, cut: Mapping[s
 
 def _to_ros2(folder: Path, options: argparse.Namespace) -> int:
     request = {"recording": str(folder.resolve()), "folder": str(options.ros2.resolve()), "topics": options.topic}
-    request.update(start=options.start, end=options.end)
-    code = run_elsewhere("ROS 2", "ros2", "leap_rig.recording.ros2_export", options.python, request)
+    code = _elsewhere("ROS 2", "ros2", options.python, {**request, "start": options.start, "end": options.end})
     if not code:
         print(f"Wrote the bag {options.ros2}.")
     return code
 
 
-def run_elsewhere(name: str, target: str, module: str, given: Path | None, request: dict[str, Any]) -> int:
-    """Runs a module's `main` in the environment of a library of this name, which a target of make installs; returns the
-    exit code. Raises RecordingFault without it."""
+def _elsewhere(name: str, target: str, given: Path | None, request: dict[str, Any]) -> int:
+    """Runs an export in the environment of a library of this name, which a target of make installs; returns the exit
+    code. Raises RecordingFault without it."""
     python = given or WORKSPACE / f".venv-{target}" / "bin" / "python"
     if not python.is_file():
         raise RecordingFault(
             f"{name} is not installed: {python} is missing. `make {target}` installs it in the clone; from an install "
             f"space, name the clone's .venv-{target}/bin/python with --python."
         )
-    command = [str(python), "-c", PROGRAM.format(module), json.dumps(request)]
+    command = [str(python), "-c", PROGRAM.format(target), json.dumps(request)]
     environment = {"PYTHONPATH": ":".join(map(str, SOURCES)), "HF_HUB_OFFLINE": "1", "HOME": str(Path.home())}
     return subprocess.run(command, env=environment, check=False).returncode
 

@@ -3,7 +3,6 @@ policy does and the operator takes over (`policy`). Where record_episodes.py run
 
 from __future__ import annotations
 
-import abc
 import math
 from typing import Any
 
@@ -118,7 +117,6 @@ class RoundsScenario(Scenario):
         seconds = ",".join(f"{one:.1f}" for one in self._seconds)
         super()._publish(result, rounds=str(self._round), good=str(self._good), seconds=seconds, **more)
 
-    @abc.abstractmethod
     def _end(self) -> None:
         """Ends a round."""
 
@@ -146,9 +144,6 @@ class EpisodesScenario(RoundsScenario):
 
     def _step(self, now: float) -> PickStep:
         return self._operator.step(self.view, now)
-
-    def _end(self) -> None:
-        pass
 
 
 class PolicyScenario(RoundsScenario):
