@@ -590,6 +590,7 @@ def test_bad_actions_of_a_policy_are_named_and_move_nothing(ros, node, tracker, 
     repeat(arm, 0.05, "arm")
     process = node.run()
     publisher = rospy.Publisher("leap_kuka/policy_actions", PolicyActions, queue_size=1)
+    clock.sleep(1.0)
     assert rospy.ServiceProxy("leap_kuka/run_policy", SetBool)(True).success
     clock.sleep(1.0)
     tool = message_from_pose(pose(np.diag([-1.0, 1.0, -1.0]), (0.5, 0.0, 0.4)))
