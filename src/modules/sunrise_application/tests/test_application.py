@@ -242,9 +242,12 @@ def test_a_storm_of_words(serve, shared_data):
     storm(serve, shared_data, 0.0, 40)
 
 
+SECONDS = float(os.environ.get("FUZZ_SECONDS", "1800"))
+
+
 @pytest.mark.long
+@pytest.mark.timeout(2 * SECONDS + 900)
 def test_an_hour_of_words(serve, shared_data, classes):
-    seconds = float(os.environ.get("FUZZ_SECONDS", "1800"))
-    storm(serve, shared_data, time.monotonic() + seconds, 40)
-    command = ["java", "-cp", classes, "leaprig.Fuzz", str(seconds), str(time.time_ns())]
+    storm(serve, shared_data, time.monotonic() + SECONDS, 40)
+    command = ["java", "-cp", classes, "leaprig.Fuzz", str(SECONDS), str(time.time_ns())]
     subprocess.run(command, check=True)
