@@ -27,7 +27,7 @@ from grasping.lab.synthetic.pose_labels import REASONS
 from grasping.lab.synthetic.shapes import Geom
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import PARALLEL, REFLEX, Maps
-from grasping.poses import hand_view, hypotheses
+from grasping.poses import chooser, hand_view, hypotheses
 from grasping.poses.candidates import image_rays, level_frame
 from grasping.poses.chooser import ImageMaps, choose, tilts
 from grasping.poses.gripper import GRIPPER, GRIPPERS, Gripper
@@ -256,11 +256,21 @@ def test_the_chosen_are_in_order_and_tilt_no_further_than_allowed():
     network = LiftNetwork().eval()
     for most in (0.02, 0.3, MAX_TILT_RAD):
         found = choose(network, of, OPEN_M, most)
-        assert (np.diff(found.probability) <= 0.0).all()
+        assert (np.diff(found.rank) <= 0.0).all() and (found.rank <= found.probability).all()
         assert tilts(found.of, of.frame).max() <= most + 1e-5
         assert ((found.probability > 0.0) & (found.probability < 1.0)).all()
     again = choose(network, of, OPEN_M, MAX_TILT_RAD)
     np.testing.assert_array_equal(again.probability, found.probability)
+
+
+@pytest.mark.parametrize(("gain", "tilted"), [(0.0, False), (0.05, False), (0.5, True)])
+def test_a_tilted_grasp_is_chosen_where_it_lifts_more_than_tilting_costs(monkeypatch, gain, tilted):
+    """`gain`: of the probability, by the radian."""
+    of = bar_image()
+    told = lambda _network, of, tried: 0.3 + gain * tilts(tried, of.frame)  # noqa: E731
+    monkeypatch.setattr(chooser, "lift_probabilities", told)
+    found = choose(LiftNetwork().eval(), of, OPEN_M)
+    assert (tilts(found.of, of.frame)[0] > 0.7) == tilted
 
 
 def test_a_bare_table_offers_nothing():

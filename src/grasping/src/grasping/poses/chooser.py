@@ -18,7 +18,8 @@ from grasping.poses.lift_network import LiftNetwork, lift_logits
 
 SMOOTHING = Smoothing(quality=2.0)
 """Of the maps: a wider blur would take the grasps on slender parts for bad."""
-STAYS = 0.05  # probability by which a new grasp must lead one of the image before
+TILT_COST = 0.1  # probability by which a tilted grasp must lead one from straight above, by the radian
+STAYS = 0.05  # rank by which a new grasp must lead one of the image before
 
 
 class ScoredPoses(NamedTuple):
@@ -69,7 +70,7 @@ def choose(
     probability = lift_probabilities(network, of, found)
     rng = np.random.default_rng(0)
     for _ in range(rounds):
-        best = found.part(np.argsort(-probability, kind="stable")[:elite])
+        best = found.part(np.argsort(-_ranks(probability, found, of.frame), kind="stable")[:elite])
         near = of.hypotheses(*varied(best, each, rng, most_open, of.frame, max_tilt))
         found = joined(found, near)
         probability = np.concatenate([probability, lift_probabilities(network, of, near)])
@@ -78,8 +79,14 @@ def choose(
         found = joined(found, before)
         probability = np.concatenate([probability, lift_probabilities(network, of, before)])
         lead = np.append(lead, np.full(len(before.T), STAYS))
-    order = np.argsort(-(probability + lead), kind="stable")
-    return ScoredPoses(found.part(order), probability[order], probability[order])
+    rank = _ranks(probability, found, of.frame)
+    order = np.argsort(-(rank + lead), kind="stable")
+    return ScoredPoses(found.part(order), probability[order], rank[order])
+
+
+def _ranks(probability: np.ndarray, of: Hypotheses, frame: LevelFrame) -> np.ndarray:
+    """Returns the probabilities less what the tilts cost: of a thousand grasps that are tilted some are overrated."""
+    return np.maximum(probability - TILT_COST * tilts(of, frame), 0.0)
 
 
 def lift_probabilities(network: LiftNetwork, of: ImageMaps, tried: Hypotheses) -> np.ndarray:
