@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from common.camera_model import pinhole
+from common.camera_model import camera_model_from_info, pinhole, same_camera
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
@@ -65,7 +65,7 @@ def test_an_array_of_another_type_is_no_picture():
 def test_a_camera_comes_back_from_its_message():
     images, stamp = messages()
     model = pinhole("f", 640, 480, [[525.0, 0, 319.5], [0, 524.0, 239.5], [0, 0, 1]])
-    back = images.camera_model_from_info(images.camera_info_message(model, "f", stamp))
+    back = camera_model_from_info(images.camera_info_message(model, "f", stamp))
     for name in ("K", "D", "R", "P"):
         np.testing.assert_array_equal(getattr(back, name), getattr(model, name))
 
@@ -120,7 +120,7 @@ def info(roi=None, **changes):
 @pytest.mark.parametrize(("changes", "size", "rectified", "found"), TAKEN)
 def test_camera_info_is_taken_as_image_geometry_does(changes, size, rectified, found):
     images, _ = messages()
-    model = images.camera_model_from_info(info(**changes), size, rectified)
+    model = camera_model_from_info(info(**changes), size, rectified)
     expected = {"width": 640, "height": 480, "K": K, "R": TURNED, "P": P, "D": [0.0] * 5, **found}
     assert (model.name, model.width, model.height) == ("camera", expected.pop("width"), expected.pop("height"))
     for name, values in expected.items():
@@ -136,7 +136,7 @@ def test_camera_info_that_cannot_be_used_is_named(changes, size, reason):
     """
     images, _ = messages()
     with pytest.raises(ValueError, match=reason):
-        images.camera_model_from_info(info(**changes), size)
+        camera_model_from_info(info(**changes), size)
 
 
 @pytest.mark.parametrize("D", [[0.1, -0.2, 0.003, -0.004, 0.05, 0.02, 0.03, 0.04], [0.1, -0.2, *[0.01] * 10]])
@@ -148,15 +148,13 @@ def test_a_longer_distortion_is_that_of_opencv_and_comes_back_from_its_message(D
     import cv2
 
     images, stamp = messages()
-    model = images.camera_model_from_info(info(D=D, distortion_model="rational_polynomial"))
+    model = camera_model_from_info(info(D=D, distortion_model="rational_polynomial"))
     points = np.random.default_rng(1).uniform((-0.4, -0.3, 1.0), (0.4, 0.3, 1.2), (20, 3))
     seen = cv2.projectPoints(points, np.zeros(3), np.zeros(3), model.K, np.array(D))[0][:, 0]
     np.testing.assert_allclose(model.project(points), seen, atol=1e-9)
     np.testing.assert_allclose(model.rays(seen), points / points[:, 2:], atol=1e-9)
     message = images.camera_info_message(model, "f", stamp)
-    assert message.distortion_model == "rational_polynomial" and images.same_camera(
-        images.camera_model_from_info(message), model
-    )
+    assert message.distortion_model == "rational_polynomial" and same_camera(camera_model_from_info(message), model)
 
 
 def test_colour_comes_red_first_and_depth_in_metres_whatever_the_encoding():

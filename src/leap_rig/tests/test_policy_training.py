@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -32,11 +33,14 @@ from leap_rig.policy.view import (
 
 pytest.importorskip("torch")
 import torch
+from recordings import START, stored, write_recording
+from test_recording_export import seen_and_felt
 
 from leap_rig.policy.network import PolicyAbout, PolicyNetwork, loaded, saved
-from leap_rig.policy.training import CHUNK, Samples, trained, upcoming
+from leap_rig.policy.training import CHUNK, Samples, samples, trained, upcoming
+from leap_rig.recording.recording_files import RecordingFault, messages
 
-ABOUT = PolicyAbout("Pick the cup up", 10, CHUNK, 3)
+ABOUT = PolicyAbout("Pick the cup up", 10, CHUNK, 3, True, True)
 ANGLE, SMALL, PLACE = st.floats(-3.0, 3.0), st.floats(-0.4, 0.4), st.floats(-0.3, 0.3)
 DOWN = rotation_about(0, np.pi)
 
@@ -126,18 +130,32 @@ def test_a_policy_says_the_same_from_its_file():
 
 def test_files_that_are_no_policy_are_refused_in_a_sentence():
     content = torch.load(io.BytesIO(saved(PolicyNetwork(ABOUT))), weights_only=True)
+    about, state, no_policy = content["about"], content["state"], "The file holds no policy of this release: "
     for wrong, why in (
-        ({**content, "schema": 2}, "The policy is not of this release: It is of schema 2"),
-        ({**content, "cells": 10}, "with 10 cells"),
-        ({**content, "about": {}}, "The file holds no policy"),
-        ({**content, "state": {}}, "The file holds no policy"),
+        ([1], "it holds a list, not a mapping."),
+        ({**content, "schema": 2}, "its schema is 2, not 1."),
+        ({"schema": 1, "features": 9}, f"its cells is None, not {CELLS}."),
+        ({**content, "cells": torch.zeros(3)}, "its cells is tensor"),
+        ({**content, "about": {}}, "about/task is missing"),
+        ({**content, "about": {**about, "task": 7}}, "about/task is 7, but must be a string"),
+        ({**content, "about": {**about, "fps": 0}}, "about/fps is 0, but must be a whole number in"),
+        ({**content, "about": {**about, "chunk": 21}}, "about/chunk / fps is 2.1 s, but at most 2 s count."),
+        ({**content, "about": {**about, "chunk": 8}}, "its numbers are those of another network."),
+        ({**content, "state": [1]}, "its numbers are those of another network."),
+        (
+            {**content, "state": {**state, "state_mean": state["state_mean"] * np.nan}},
+            "its numbers are not all finite.",
+        ),
+        ({**content, "about": int}, "it is torn, or not a file of torch's numbers."),
     ):
         file = io.BytesIO()
         torch.save(wrong, file)
-        with pytest.raises(RigError, match=why):
+        with pytest.raises(RigError, match=re.escape(no_policy + why)):
             loaded(file.getvalue())
-    with pytest.raises(RigError, match="The file holds no policy"):
-        loaded(b"nothing")
+    whole = saved(PolicyNetwork(ABOUT))
+    for data in (b"", b"nothing", whole[: len(whole) // 2], whole[:-9]):
+        with pytest.raises(RigError, match=no_policy + "it is torn"):
+            loaded(data)
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60))
@@ -189,32 +207,26 @@ def test_rows_that_no_hand_led_are_not_learned_from():
     assert_allclose(alone, both)
 
 
-@pytest.mark.ros
-def test_an_episode_gives_rows_as_the_camera_and_the_hand_had_them(tmp_path):
+def seen_episode(folder, info_at=0.0, camera=True, tool_until=1.0, task="lift", **changes):
+    """An episode of 1 s in which a hand leads the tool for 0.7 s over a table; `changes` of its camera_info."""
     import rospy
     from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
     from sensor_msgs.msg import CameraInfo, Image
     from std_msgs.msg import Header
-    from test_recording_export import START, seen_and_felt, stored, write_recording
     from tf2_msgs.msg import TFMessage
 
-    from leap_rig.policy.training import samples
-    from leap_rig.recording.recording_files import RecordingFault, messages
     from rig_msgs.msg import TeleopState
 
-    folder = seen_and_felt(tmp_path / "felt")
-    with pytest.raises(RecordingFault, match="no depth images with their camera_info"):
-        samples(folder)
-    found = [
-        one
-        for one in messages(folder / "messages.mcap")
-        if one.topic not in ("/leap_kuka/state", "/camera/depth/image", "/tf")
-    ]
+    others = "/leap_kuka/state", "/camera/depth/image", "/tf"
+    felt = messages(seen_and_felt(folder.with_name("felt")) / "messages.mcap")
+    found = [one for one in felt if one.topic not in others]
     stamp = rospy.Time(0, START)
     K = [60.0, 0, 47.5, 0, 60.0, 31.5, 0, 0, 1.0]
     info = CameraInfo(header=Header(0, stamp, "camera"), height=64, width=96, distortion_model="plumb_bob", K=K)
     info.D, info.R, info.P = [0.0] * 5, np.eye(3).ravel().tolist(), [*K[:3], 0, *K[3:6], 0, *K[6:], 0]
-    found.append(stored("/camera/depth/camera_info", info, 0.0))
+    for name, value in changes.items():
+        setattr(info, name, value)
+    found.append(stored("/camera/depth/camera_info", info, info_at))
 
     def frame(child, p, q, at=0.0):
         return TransformStamped(
@@ -224,19 +236,80 @@ def test_an_episode_gives_rows_as_the_camera_and_the_hand_had_them(tmp_path):
         )
 
     # The camera looks down on a table that is 0.7 m below it; the tool is 0.2 m above the table.
-    found.append(stored("/tf_static", TFMessage([frame("camera", (0.4, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))]), 0.0))
+    if camera:
+        found.append(stored("/tf_static", TFMessage([frame("camera", (0.4, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))]), 0.0))
     depth = Image(Header(0, stamp, "camera"), 64, 96, "16UC1", 0, 192, np.full((64, 96), 700, "<u2").tobytes())
     for i in range(20):
         at = 0.05 * i
         found.append(stored("/camera/depth/image", depth, at))
         tools = [frame(f"kuka/tool_frame/{name}", (0.4 + ahead, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0), at)
-                 for name, ahead in (("measured", 0.0), ("desired", 0.01 * i))]  # fmt: skip
+                 for name, ahead in (("measured", 0.0), ("desired", 0.01 * i))
+                 if name == "desired" or at < tool_until]  # fmt: skip
         found.append(stored("/tf", TFMessage(tools), at))
         found.append(stored("/leap_kuka/state", TeleopState(state="running", follows=i < 14), at))
-    made = write_recording(tmp_path / "made", sorted(found, key=lambda one: one.received), name="x", task="lift")
-    one, task = samples(made)
+    return write_recording(folder, sorted(found, key=lambda one: one.received), name="x", task=task)
+
+
+@pytest.mark.ros
+def test_an_episode_gives_rows_as_the_camera_and_the_hand_had_them(tmp_path):
+    with pytest.raises(RecordingFault, match="no depth images with their camera_info"):
+        samples(seen_and_felt(tmp_path / "blind"))
+    one, task = samples(seen_episode(tmp_path / "made"))
     seen = one.maps[3].astype(float)
     assert task == "lift" and abs(np.median(seen[seen > -0.39]) + 0.2) < 0.02
     assert one.there[:3, 0].all() and not one.there[-3:].any()
     step = one.actions[1, 2, 0] - one.actions[1, 0, 0]
     assert 0.03 < step < 0.05, "two rows of 0.1 s, in which it goes 0.04 m"
+
+
+@pytest.mark.ros
+def test_rows_without_a_fresh_tool_are_not_learned_from(tmp_path):
+    one, _ = samples(seen_episode(tmp_path / "made", tool_until=0.3))
+    assert one.there[:4, 0].all() and not one.there[5:].any()
+
+
+@pytest.mark.ros
+def test_the_first_rows_have_the_camera_info_that_comes_after_them(tmp_path):
+    one, _ = samples(seen_episode(tmp_path / "made", info_at=0.25))
+    assert (one.maps[0] > -0.39).any()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    "changes, why",
+    [
+        ({"K": [0.0] * 9}, "the camera is not calibrated"),
+        ({"K": [np.nan] * 9}, "the numbers of the camera_info are not finite"),
+        ({"width": 320, "height": 240}, "the image is 96 x 64, but its camera_info says 320 x 240"),
+        ({"distortion_model": "fisheye"}, "the distortion model 'fisheye'"),
+        ({"camera": False}, "does not say where camera is"),
+    ],
+)
+def test_an_episode_whose_depth_has_no_place_is_refused_in_a_sentence(tmp_path, changes, why):
+    with pytest.raises(RecordingFault, match=why):
+        samples(seen_episode(tmp_path / "made", **changes))
+
+
+@pytest.mark.ros
+def test_a_policy_is_of_one_task_which_can_be_said_again(tmp_path, capsys):
+    from leap_rig.policy.ros import train_program
+
+    def train(*words):
+        return train_program.train(train_program._parser().parse_args([*words, "--steps", "2"]))
+
+    for i, task in enumerate(("lift", "lift it", "")):
+        (tmp_path / str(i)).mkdir()
+        seen_episode(tmp_path / str(i) / "one", task=task)
+    one, other, silent = (str(tmp_path / str(i) / "one") for i in range(3))
+    out = tmp_path / "made.pt"
+    with pytest.raises(RecordingFault, match="one shows 'lift it', but .*one 'lift', and a policy has one task"):
+        train(one, other, "--out", str(out))
+    with pytest.raises(RecordingFault, match="does not say what is done; give --task"):
+        train(silent, "--out", str(out))
+    assert not out.exists()
+    assert train(one, other, silent, "--out", str(out), "--task", "Lift it.", "--without", "touch") == 0
+    about = loaded(out.read_bytes()).about
+    assert (about.task, about.episodes, about.touch, about.map) == ("Lift it.", 3, False, True)
+    assert "from 3 episodes with 18 rows that a hand led" in capsys.readouterr().out
+    with pytest.raises(RecordingFault, match="exists already"):
+        train(one, "--out", str(out))

@@ -9,10 +9,9 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
-from common.camera_model import PLUMB_BOB, RATIONAL, CameraModel, distortion, pinhole
-from common.frames import DEPTH_OPTICAL, RGB_OPTICAL, frame_name
-from common.plausible import OFF_CENTRE, OFF_CENTRE_RECTIFIED, check_intrinsics, plausible_depth
-from common.poses import read_only
+from common.camera_model import PLUMB_BOB, RATIONAL, CameraModel
+from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
+from common.plausible import plausible_depth
 
 Outgoing = Callable[[Image], Image]
 
@@ -93,64 +92,6 @@ def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> Ca
     message.K, message.D = model.K.ravel().tolist(), model.D.tolist()
     message.R, message.P = model.R.ravel().tolist(), model.P.ravel().tolist()
     return message
-
-
-def camera_model_from_info(
-    message: CameraInfo, size: tuple[int, int] | None = None, rectified: bool = False
-) -> CameraModel:
-    """Returns the camera of a message as image_geometry of ROS takes it: without R it is not turned, without P not
-    rectified, and binning and region of interest change size and matrices. `size` is (width, height) of an image of
-    this camera, which then has that size where the message says none. Of `rectified` images, P alone counts. Raises
-    ValueError without a calibration, for another distortion model, or for an image of another size."""
-    K, R, P = np.reshape(message.K, (3, 3)), np.reshape(message.R, (3, 3)), np.reshape(message.P, (3, 4))
-    if not all(np.all(np.isfinite(matrix)) for matrix in (K, R, P)):
-        raise ValueError("the numbers of the camera_info are not finite")
-    P = P if P.any() else np.column_stack((K, np.zeros(3)))
-    R = R if R.any() else np.eye(3)
-    for name, matrix in (("P", P),) if rectified else (("K", K), ("P", P)):
-        if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
-            focal = f"the focal lengths in {name} of its camera_info are {matrix[0, 0]:g} and {matrix[1, 1]:g}"
-            raise ValueError(f"the camera is not calibrated: {focal}; give its driver a calibration file")
-        if not np.array_equal(matrix[2, :3], (0.0, 0.0, 1.0)):
-            raise ValueError(f"the last row of {name} in the camera_info is {matrix[2].tolist()}, not 0, 0, 1")
-    if not rectified and not (np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0.0):
-        raise ValueError(f"R in the camera_info is {R.tolist()}, which is no rotation")
-    roi = message.roi
-    binning = np.maximum((message.binning_x, message.binning_y), 1)
-    described = np.array((roi.width or message.width, roi.height or message.height)) // binning
-    outside = roi.x_offset + roi.width > message.width or roi.y_offset + roi.height > message.height
-    if message.width and message.height and (outside or not described.all()):
-        raise ValueError("binning and region of interest in the camera_info leave nothing of its image")
-    cut = np.array([[1.0, 0.0, -roi.x_offset], [0.0, 1.0, -roi.y_offset], [0.0, 0.0, 1.0]])
-    cut[:2] /= binning[:, None]
-    width, height = (own or given for own, given in zip(described.tolist(), size or (0, 0)))
-    if size not in (None, (width, height)):
-        sizes = f"the image is {size[0]} x {size[1]}, but its camera_info says {width} x {height}"
-        raise ValueError(f"{sizes}: use the camera_info of this image topic")
-    _check_size(message, {"P": P} if rectified else {"K": K, "P": P}, size)
-    name = frame_name(message.header.frame_id)
-    if rectified:
-        return pinhole(name, width, height, (cut @ P)[:, :3])
-    D = distortion(message.distortion_model, message.D)
-    return CameraModel(name, width, height, *map(read_only, (cut @ K, D, R, cut @ P)))
-
-
-def _check_size(message: CameraInfo, matrices: dict[str, np.ndarray], size: tuple[int, int] | None) -> None:
-    """Raises ValueError if a matrix cannot be of the whole image, whose part of that `size` was taken."""
-    if size is not None and not (message.width or message.roi.width):
-        width, height = size[0] * max(message.binning_x, 1), size[1] * max(message.binning_y, 1)
-    else:
-        width, height = message.width, message.height
-    for name, matrix in matrices.items() if width and height else ():
-        try:
-            check_intrinsics(matrix, width, height, OFF_CENTRE if name == "K" else OFF_CENTRE_RECTIFIED)
-        except ValueError as error:
-            raise ValueError(f"{name} in the camera_info: {error}") from None
-
-
-def same_camera(a: CameraModel, b: CameraModel) -> bool:
-    """Returns whether two cameras have the same size and numbers."""
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("width", "height", "K", "D", "R", "P"))
 
 
 class RgbdTopics:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,21 @@ import rospy
 
 from common import clock
 from common.action_stream import MOST_ACTIONS, ActionChunk, ActionStream, PolicyAction, check_chunk
+from common.errors import DeviceError
 from common.ros.conversions import pose_from_message
 from common.ros.raw_tf import publisher_of
+from common.ros.service_calls import ask_master, listens
+from common.sentences import without_numbers
 
 POLICY_ACTIONS = "leap_kuka/policy_actions"
+
+
+def refuse_second_program() -> None:
+    """Raises DeviceError if another program sends actions to the arm of this program's namespace, or MasterLost."""
+    publishers = dict(ask_master("getSystemState")[0]).get(rospy.resolve_name(POLICY_ACTIONS), [])
+    for other in publishers:
+        if listens(ask_master("lookupNode", other)):
+            raise DeviceError(f"{other} sends actions already, and two programs cannot steer: end it first.")
 
 
 class PolicyInput:
@@ -51,7 +61,7 @@ class PolicyInput:
             check_chunk(chunk, self._motors, clock.monotonic())
         except ValueError as error:
             self.clear()
-            refused = re.sub(r"[-\d.]+", "", str(error))
+            refused = without_numbers(str(error))
             if refused != self._refused:
                 rospy.logwarn("The policy's actions are refused: %s.", error)
             self._refused = refused

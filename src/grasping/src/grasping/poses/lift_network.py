@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import asdict
 from typing import Any
 
@@ -13,6 +12,7 @@ from torch import nn
 from common.config import parse
 from common.errors import RigError
 from grasping.network.maps import HANDS, PARALLEL
+from grasping.network.torch_files import content_of, give
 from grasping.poses.gripper import GRIPPER, Gripper
 from grasping.poses.hand_view import FEATURES
 
@@ -55,16 +55,13 @@ def saved(network: LiftNetwork) -> dict[str, Any]:
 def loaded(data: bytes) -> LiftNetwork:
     """Returns the network from the content of a weight file; raises RigError for any other content."""
     try:
-        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-        if content["schema"] != SCHEMA or content["features"] != FEATURES:
-            raise RigError(f"It is of schema {content['schema']} with {content['features']} features.")
-        hand, ggcnn = content["hand"], content["ggcnn"]
+        content = content_of(data, schema=SCHEMA, features=FEATURES)
+        hand, ggcnn = content.get("hand"), content.get("ggcnn")
         if hand not in HANDS or not isinstance(ggcnn, str):
-            raise RigError(f"It is of the hand {hand!r} and of GG-CNN's file {ggcnn!r}.")
+            raise RigError(f"it is of the hand {hand!r} and of GG-CNN's file {ggcnn!r}")
         network = LiftNetwork(hand, ggcnn, parse(Gripper, content.get("gripper", {}), "gripper/"))
-        network.load_state_dict(content["state"])
+        give(network, content.get("state"))
     except RigError as error:
-        raise RigError(f"The weights are not of this network: {error}") from error
-    except Exception as error:  # torch raises whatever its unpickler meets
-        raise RigError(f"The file holds no weights of the network of lifts: {error}") from error
+        sentence = str(error).rstrip(".")
+        raise RigError(f"The file holds no weights of the network of lifts: {sentence}.") from error
     return network.eval()

@@ -10,9 +10,9 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from common import clock
-from common.camera_model import CameraModel
+from common.camera_model import CameraModel, camera_model_from_info
 from common.ros.compressed_images import depth_topic
-from common.ros.images import camera_model_from_info, depth_from_image
+from common.ros.images import depth_from_image
 from common.ros.inputs import NodeInputs
 from grasping.pipeline.settings import InputConfig
 

@@ -17,10 +17,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from common import clock
-from common.camera_model import CameraModel
+from common.camera_model import CameraModel, camera_model_from_info
 from common.errors import RigError
 from common.ros.conversions import pose_from_message
-from common.ros.images import array_from_image, camera_model_from_info, depth_from_image
+from common.ros.images import array_from_image, depth_from_image
 from common.ros.node import run
 from grasp_msgs.msg import GraspList
 from grasping.pipeline import drawing

@@ -5,7 +5,6 @@ say, while no hand steers."""
 from __future__ import annotations
 
 import dataclasses
-import re
 
 import numpy as np
 import rospy
@@ -26,6 +25,7 @@ from common.ros.params import arm_frames, wait_for_config, wait_for_param
 from common.ros.policy_input import PolicyInput
 from common.ros.publishing import DirectPublisher
 from common.ros.raw_tf import publisher_of
+from common.sentences import without_numbers
 from leap_kuka.arm_choice import BOTH, elsewhere
 from leap_kuka.config import OPERATOR_INPUT, RELATIVE, ArmPlacement, LeapConfig
 from leap_kuka.kept_tool import no_measured_tool
@@ -146,7 +146,7 @@ class ArmTeleopNode:
     def _report_lead(self) -> None:
         """Logs what keeps a policy from the tool, once, whatever numbers it has."""
         fault = self._teleop.lead_fault
-        kind = re.sub(r"[-\d.]+", "", fault)
+        kind = without_numbers(fault)
         if fault and kind != self._policy_fault:
             rospy.logwarn("The policy does not steer the tool: %s.", fault)
         self._policy_fault = kind

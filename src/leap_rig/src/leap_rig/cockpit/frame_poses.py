@@ -77,15 +77,23 @@ class FramePoses:
         found = self._transforms.get(child)
         return found[2] if found is not None else 0.0
 
-    def chain(self, frame: str, top: str = "") -> tuple[str, Pose7] | None:
-        """Returns the root that a frame hangs on, maybe by others, or `top` below it, and its pose there; None in a
-        circle."""
+    def chain(self, frame: str) -> tuple[str, Pose7] | None:
+        """Returns the root that a frame hangs on, maybe by others, and its pose there; None in a circle."""
         longest = 64
         whole: Pose7 = IDENTITY
         for _ in range(longest):
             found = self._transforms.get(frame)
-            if found is None or frame == top:
+            if found is None:
                 return frame, whole
             frame, numbers, _ = found
             whole = compose(numbers, whole)
         return None
+
+    def between(self, base: str, frame: str) -> Pose7 | None:
+        """Returns the pose of a frame in another one, None if they hang on nothing in common."""
+        one, other = self.chain(base), self.chain(frame)
+        if one is None or other is None or one[0] != other[0]:
+            return None
+        back = *(-part for part in one[1][3:6]), one[1][6]
+        away = *(-part for part in turned(back, one[1][:3])), *back
+        return compose(away, other[1])

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional
 
+from common.action_stream import LONGEST_S, MOST_ACTIONS, PERIODS_S
+from common.config import flag, integer, parse, text
 from common.errors import RigError
+from grasping.network.torch_files import content_of, give
 from leap_rig.policy.view import ACTION, BELOW_M, CELLS, NOTHING_M, STATE, TOUCH
 
 SCHEMA, POINTS = 1, 8
@@ -22,12 +23,17 @@ SCHEMA, POINTS = 1, 8
 class PolicyAbout:
     """What a policy does, and how it came to be."""
 
-    task: str
-    fps: int  # of its actions; the first one is due 1 / fps after what it saw
-    chunk: int  # actions at once
-    episodes: int
-    touch: bool = True  # whether it feels
-    map: bool = True  # whether it sees
+    task: str = text()
+    fps: int = integer("1/s", low=1.0 / PERIODS_S[1], high=1.0 / PERIODS_S[0])  # of its actions
+    chunk: int = integer(low=1, high=MOST_ACTIONS)  # actions at once; the first one is due 1 / fps after what it saw
+    episodes: int = integer(low=1)
+    touch: bool = flag(absent=True)  # whether it feels
+    map: bool = flag(absent=True)  # whether it sees
+
+    def faults(self) -> list[str]:
+        """Returns what keeps its actions from being taken."""
+        lasts = self.chunk / self.fps
+        return [f"chunk / fps is {lasts:g} s, but at most {LONGEST_S:g} s count."] if lasts > LONGEST_S else []
 
 
 class PolicyNetwork(nn.Module):
@@ -92,13 +98,10 @@ def saved(network: PolicyNetwork) -> bytes:
 def loaded(data: bytes) -> PolicyNetwork:
     """Returns the policy of a file's content; raises RigError for any other content."""
     try:
-        content: Mapping[str, Any] = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-        if content["schema"] != SCHEMA or content["cells"] != CELLS:
-            raise RigError(f"It is of schema {content['schema']} with {content['cells']} cells.")
-        network = PolicyNetwork(PolicyAbout(**content["about"]))
-        network.load_state_dict(content["state"])
+        content = content_of(data, schema=SCHEMA, cells=CELLS)
+        network = PolicyNetwork(parse(PolicyAbout, content.get("about", {}), "about/"))
+        give(network, content.get("state"))
     except RigError as error:
-        raise RigError(f"The policy is not of this release: {error}") from error
-    except Exception as error:  # torch raises whatever its unpickler meets
-        raise RigError(f"The file holds no policy: {error}") from error
+        sentence = str(error).rstrip(".")
+        raise RigError(f"The file holds no policy of this release: {sentence}.") from error
     return network.eval()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from common.camera_model import CameraModel, distortion
+from common.camera_model import camera_model_from_info, same_camera
 from common.frames import BASE, frame_name
+from common.plausible import plausible_depth
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from leap_rig.cockpit.frame_poses import FramePoses
@@ -19,15 +21,14 @@ from leap_rig.policy.view import ACTION, FINGERS, NOTHING_M, STATE, DepthView, a
 from leap_rig.recording import topics
 from leap_rig.recording.dataset import exported_episodes
 from leap_rig.recording.episode import depth_values
-from leap_rig.recording.recording_files import RecordingFault, between
+from leap_rig.recording.recording_files import RecordingFault, StoredMessage, between
 from leap_rig.recording.run import MessageDecoders
 from leap_rig.recording.signals import AGE
 
 FPS, CHUNK = 10, 16
 ARM = 7  # joints before the hand's motors in a row
 LEAST = 0.01  # standard deviation by which a number is scaled
-FRESH_S = 0.2  # an older desired tool no longer counts
-INFO = "/camera/depth/camera_info"
+FRESH_S = 0.2  # an older measured or desired tool no longer counts
 
 
 class Samples(NamedTuple):
@@ -39,12 +40,13 @@ class Samples(NamedTuple):
     there: np.ndarray  # which of them a hand led in the same episode without a gap, shape (n, CHUNK), bool
 
 
-def samples(recording: Path) -> tuple[Samples, str]:
-    """Returns the samples of an episode, and its task; raises RecordingFault if it lacks what a policy sees."""
-    (one,) = exported_episodes([recording], FPS, "")
+def samples(recording: Path, task: str = "") -> tuple[Samples, str]:
+    """Returns the samples of an episode, and its task, or the one that is given; raises RecordingFault if it lacks what
+    a policy sees."""
+    (one,) = exported_episodes([recording], FPS, task)
     rows, names = one.signals.rows, one.signals.names
     ages = dict(zip(names[AGE], rows[AGE].T))
-    known = ages["observation.tool_pose"] >= 0.0
+    known = (ages["observation.tool_pose"] >= 0.0) & (ages["observation.tool_pose"] <= FRESH_S)
     follows = rows["observation.teleoperation"][:, names["observation.teleoperation"].index("follows")] > 0.0
     age = ages["action.desired_tool"]
     led = known & follows & (age >= 0.0) & (age <= FRESH_S)
@@ -81,40 +83,46 @@ def _matrix(pose7: np.ndarray) -> np.ndarray:
 
 
 def _maps(recording: Path, times: np.ndarray, T_tool: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-    """Yields the map at each time, of the newest depth image."""
-    decode, poses, view, camera = MessageDecoders(), FramePoses(), None, ""
-    points: np.ndarray | None = None
-    coming_ones = between(recording, ["/tf_static", "/tf", topics.DEPTH, INFO], 0.0, float("inf"))
+    """Yields the map at each time, of the newest depth image; before the first one, of that one."""
+    decode, poses, view = MessageDecoders(), FramePoses(), None
+    coming_ones = between(recording, ["/tf_static", "/tf", topics.DEPTH, topics.DEPTH_INFO], 0.0, float("inf"))
     coming = next(coming_ones, None)
-    image: dict[str, Any] | None = None
+    newest: dict[str, StoredMessage] = {}
+    points: np.ndarray | None = None
     for time, T in zip(times, T_tool):
-        new = False
-        while coming is not None and ((points is None and image is None) or 1e-9 * coming.received <= time):
-            if coming.topic == topics.DEPTH:
-                image, new = decode(coming), view is not None
-            elif coming.topic == INFO:
-                if view is None:
-                    view, new = DepthView(_camera(decode(coming))), image is not None
+        seen = newest.get(topics.DEPTH)
+        while coming is not None and (len(newest) < 2 or 1e-9 * coming.received <= time):
+            if coming.topic in (topics.DEPTH, topics.DEPTH_INFO):
+                newest[coming.topic] = coming
             else:
                 for each in decode(coming)["transforms"]:
                     p, q = each["transform"]["translation"], each["transform"]["rotation"]
                     numbers = *(p[i] for i in "xyz"), *(q[i] for i in "xyzw")
                     poses.put(frame_name(each["header"]["frame_id"]), frame_name(each["child_frame_id"]), numbers, 0.0)
             coming = next(coming_ones, None)
-        if new and image is not None and view is not None:
-            camera = frame_name(image["header"]["frame_id"])
-            chain = poses.chain(camera)
-            if chain is None or chain[0] != BASE:
-                raise RecordingFault(f"{recording} does not say where {camera} is, so nothing is seen from the tool.")
-            points = view.points(_depth(image), _matrix(np.array(chain[1])))
-        if points is None:
+        if len(newest) < 2:
             raise RecordingFault(f"{recording} has no depth images with their camera_info; record with --camera rgbd.")
+        if points is None or newest[topics.DEPTH] is not seen:
+            image, info = decode(newest[topics.DEPTH]), decode(newest[topics.DEPTH_INFO])
+            frame = frame_name(image["header"]["frame_id"])
+            where = poses.between(BASE, frame)
+            if where is None:
+                raise RecordingFault(f"{recording} does not say where {frame} is, so nothing is seen from the tool.")
+            try:
+                camera = camera_model_from_info(_with_attributes(info), (image["width"], image["height"]))
+                if view is None or not same_camera(view.camera, camera):
+                    view = DepthView(camera)
+                points = view.points(plausible_depth(_depth(image)), _matrix(np.array(where)))
+            except ValueError as error:
+                raise RecordingFault(f"The depth images of {recording} cannot be used: {error}.") from error
         yield height_map(points, T)
 
 
-def _camera(info: dict[str, Any]) -> CameraModel:
-    K, R, P = (np.reshape(info[name], shape) for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("P", (3, 4))))
-    return CameraModel("depth", info["width"], info["height"], K, distortion(info["distortion_model"], info["D"]), R, P)
+def _with_attributes(value: Any) -> Any:
+    """Returns a decoded message as ROS has it."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{name: _with_attributes(part) for name, part in value.items()})
+    return value
 
 
 def _depth(image: dict[str, Any]) -> np.ndarray:

@@ -27,6 +27,7 @@ class DepthView:
 
     def __init__(self, camera: CameraModel) -> None:
         rows, columns = np.mgrid[0 : camera.height : STRIDE, 0 : camera.width : STRIDE]
+        self.camera = camera
         self._rays = camera.rays(np.stack([columns, rows], axis=-1))
 
     def points(self, depth: np.ndarray, T_base_camera: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ HAND_STATE = f"/{HAND.state}"
 HAND_COMMAND, RAW_HAND_COMMAND = (f"/{topic}" for topic in HAND.commands)
 TF = "/tf"
 COLOR = "/camera/rgb/image_raw"
-DEPTH = "/camera/depth/image"
+DEPTH, DEPTH_INFO = "/camera/depth/image", "/camera/depth/camera_info"
 
 EPISODE_MARK = "/cockpit/episode_mark"
 
@@ -33,7 +33,7 @@ VIEW = (
 CAMERA = {
     "off": (),
     "color": (COLOR, "/camera/rgb/camera_info"),
-    "rgbd": (COLOR, "/camera/rgb/camera_info", DEPTH, "/camera/depth/camera_info"),
+    "rgbd": (COLOR, "/camera/rgb/camera_info", DEPTH, DEPTH_INFO),
 }
 DRIVING = (TOOL_DESIRED, FLANGE_DESIRED, HAND_FRAME, HAND_FILTERED)
 """Frames that steer an arm, or follow from one that does."""

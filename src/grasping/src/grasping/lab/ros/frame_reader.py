@@ -8,9 +8,9 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
-from common.camera_model import CameraModel
+from common.camera_model import CameraModel, camera_model_from_info
 from common.frames import FLANGE_MEASURED
-from common.ros.images import camera_model_from_info, depth_from_image
+from common.ros.images import depth_from_image
 from common.ros.inputs import NodeInputs
 from grasping.lab.dataset.episode import NOWHERE
 from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, look, on_hand

@@ -1,5 +1,6 @@
-"""The program lerobot_server.py: lets LeRobot's programs see the rig, and with --moves move it. In a namespace, __ns,
-it serves the arm of that namespace."""
+"""The program lerobot_server.py: lets LeRobot's programs see the rig, and with --moves move it.
+
+In a namespace, __ns, it serves the arm of that namespace."""
 
 from __future__ import annotations
 
@@ -8,7 +9,6 @@ import math
 import os
 import signal
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
-from tf2_msgs.msg import TFMessage
 
 from common import clock
 from common.command_line import whole
@@ -27,16 +26,16 @@ from common.robot_hand import HAND, hand_state
 from common.ros.compressed_images import jpeg_from_image
 from common.ros.files import home
 from common.ros.node import join, run_program
-from common.ros.params import arm_frames
-from common.ros.policy_input import POLICY_ACTIONS
-from common.ros.service_calls import ask_master, call, listens
+from common.ros.policy_input import POLICY_ACTIONS, refuse_second_program
+from common.ros.service_calls import call
 from common.teleop_record import LED
 from kuka_msgs.msg import jointPositions, jointTorquesExternal
-from leap_rig.cockpit.frame_poses import FramePoses, Pose7
+from leap_rig.cockpit.frame_poses import Pose7
 from leap_rig.lerobot.actions import ACTION, FINGERS, HOLDS_S, POSE, action_fault
 from leap_rig.lerobot.server import LerobotServer
 from leap_rig.recording.dataset import camera_name
 from leap_rig.recording.topics import COLOR
+from leap_rig.ros.newest import NewestMessages
 from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import PolicyActions, TeleopState
 
@@ -44,7 +43,6 @@ SILENT_S, SLOW_S = 0.5, 2.0  # an older observation is a fault; older torques an
 LED_S = 0.5  # after the first action leap_kuka has said whether it leads the tool
 RUN_POLICY = "leap_kuka/run_policy"
 ANSWER_S, THERE_S, POLL_S = 2.0, 10.0, 0.1
-READ_BYTES = 2**22  # of a subscriber's buffer: rospy's own is smaller than an image
 JOINTS = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 
 
@@ -54,8 +52,7 @@ class RigDesk:
     def __init__(self, cameras: Mapping[str, str], quality: int, moves: bool) -> None:
         self._cameras, self._quality, self._moves = cameras, quality, moves
         self._lock = clock.Lock()
-        self._newest: dict[str, tuple[float, Any]] = {}
-        self._poses, self._frames = FramePoses(), arm_frames()
+        self._newest = NewestMessages()
         self._acted = self._acts_since = float("-inf")
         if moves:
             self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
@@ -66,11 +63,9 @@ class RigDesk:
             (HAND.commands[0], RadianServoCommands),
             ("leap_kuka/state", TeleopState),
         ):
-            rospy.Subscriber(topic, kind, partial(self._keep, topic), queue_size=1, tcp_nodelay=True)
+            self._newest.hear(topic, kind)
         for name, topic in cameras.items():
-            rospy.Subscriber(topic, Image, partial(self._keep, name), queue_size=1, buff_size=READ_BYTES)
-        for topic in ("/tf", "/tf_static"):
-            rospy.Subscriber(topic, TFMessage, partial(self._transforms, topic), queue_size=100, tcp_nodelay=True)
+            self._newest.hear(topic, Image, name)
 
     def answer(self, request: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
         """Answers one request; raises RigError where it cannot."""
@@ -85,49 +80,27 @@ class RigDesk:
             return {"refused": self._act(request["action"])}, {}
         raise DeviceError(f"The request is {what!r}, but must be hello, observe, intent, or act with an action.")
 
-    def _keep(self, key: str, message: Any) -> None:
-        with self._lock:
-            self._newest[key] = clock.monotonic(), message
-
-    def _transforms(self, topic: str, message: TFMessage) -> None:
-        received = float("inf") if topic == "/tf_static" else clock.monotonic()
-        with self._lock:
-            self._poses.take(message.transforms, received)
-
-    def _of(self, key: str, oldest: float = SILENT_S) -> Any:
-        with self._lock:
-            at, message = self._newest.get(key, (-oldest, None))
-        age = clock.monotonic() - at
-        if message is None or age > oldest:
-            since = "yet" if message is None else f"for {age:.1f} s"
-            raise DeviceError(f"{key} has said nothing {since}, so there is no observation.")
-        return message
-
-    def _tool(self, frame: str) -> Pose7 | None:
-        """Returns the pose of a frame of the arm in its base; None if it is old or does not lead there."""
-        frame, base = self._frames(frame), self._frames(BASE)
-        with self._lock:
-            fresh = clock.monotonic() - self._poses.received(frame) < SILENT_S
-            chain = self._poses.chain(frame, base) if fresh else None
-        return chain[1] if chain is not None and chain[0] == base else None
-
     def _state(self) -> dict[str, float]:
-        joints, torques = self._of("kuka/joint_positions"), self._of("kuka/joint_torques_external", SLOW_S)
+        joints = self._newest.of("kuka/joint_positions", SILENT_S)
+        torques = self._newest.of("kuka/joint_torques_external", SLOW_S)
         tool = self._tool(TOOL_MEASURED)
         if tool is None:
-            raise DeviceError(f"{self._frames(TOOL_MEASURED)} has said nothing, so there is no observation.")
+            raise DeviceError(f"{self._newest.frames(TOOL_MEASURED)} has said nothing, so there is no observation.")
         state = {f"{name}.pos": getattr(joints, f"joint_{i}") for i, name in enumerate(JOINTS, 1)}
         state.update({f"{name}.torque": getattr(torques, f"joint_{i}") for i, name in enumerate(JOINTS, 1)})
         return {**state, **dict(zip(FINGERS, self._angles())), **dict(zip(POSE, tool))}
 
     def _angles(self) -> list[float]:
-        return hand_state(self._of(HAND.state)).angles.tolist()
+        return hand_state(self._newest.of(HAND.state, SILENT_S)).angles.tolist()
 
     def _image(self, name: str) -> bytes:
         try:
-            return bytes(jpeg_from_image(self._of(name, SLOW_S), self._quality).data)
+            return bytes(jpeg_from_image(self._newest.of(name, SLOW_S), self._quality).data)
         except ValueError as error:
             raise DeviceError(f"The image of {name} cannot be read: {error}.") from error
+
+    def _tool(self, frame: str) -> Pose7 | None:
+        return self._newest.pose(self._newest.frames(frame), SILENT_S)
 
     def _intent(self) -> dict[str, float]:
         """Returns what the operator wants: the desired tool and the commanded fingers; without, where they are."""
@@ -135,7 +108,7 @@ class RigDesk:
         if tool is None:
             raise DeviceError("Nothing says where the tool is, so there is no action.")
         try:
-            fingers = list(self._of(HAND.commands[0]).radian_commands)
+            fingers = list(self._newest.of(HAND.commands[0], SILENT_S).radian_commands)
         except RigError:
             fingers = self._angles()
         return {**dict(zip(POSE, tool)), **dict(zip(FINGERS, fingers))}
@@ -151,7 +124,8 @@ class RigDesk:
         length = math.hypot(*q)
         pose = Pose(Point(x, y, z), Quaternion(*(part / length for part in q)))
         fingers = [float(action[name]) for name in FINGERS]
-        self._actions.publish(PolicyActions(Header(0, rospy.Time.now(), self._frames(BASE)), HOLDS_S, [pose], fingers))
+        header = Header(0, rospy.Time.now(), self._newest.frames(BASE))
+        self._actions.publish(PolicyActions(header, HOLDS_S, [pose], fingers))
         return self._not_led()
 
     def _not_led(self) -> str:
@@ -161,10 +135,13 @@ class RigDesk:
             if now - self._acted > HOLDS_S:
                 self._acts_since = now
             self._acted = now
-            _, state = self._newest.get("leap_kuka/state", (now, None))
-            if now - self._acts_since < LED_S or (state is not None and state.hold == LED):
+            if now - self._acts_since < LED_S:
                 return ""
-        return f"The action moves nothing: {'leap_kuka says nothing' if state is None else state.reason}."
+        try:
+            state = self._newest.of("leap_kuka/state", SLOW_S)
+        except DeviceError:
+            return "The action moves nothing: leap_kuka says nothing."
+        return "" if state.hold == LED else f"The action moves nothing: {state.reason}."
 
 
 def main() -> None:
@@ -175,9 +152,8 @@ def main() -> None:
 def serve(options: argparse.Namespace) -> int:
     """Serves until it is interrupted; returns the exit code."""
     join("lerobot_server", anonymous=True)
-    other = _who_steers() if options.moves else ""
-    if other:
-        raise DeviceError(f"{other} sends actions already, and two programs cannot steer: end it, or omit --moves.")
+    if options.moves:
+        refuse_second_program()
     interrupted = clock.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
@@ -199,13 +175,6 @@ def serve(options: argparse.Namespace) -> int:
         if options.moves and not rospy.is_shutdown():
             call(RUN_POLICY, SetBool, False, timeout=ANSWER_S)
     return 0
-
-
-def _who_steers() -> str:
-    """Returns the name of a program that sends actions to this arm; empty if none does. Raises MasterLost."""
-    topic = rospy.resolve_name(POLICY_ACTIONS)
-    publishers = dict(ask_master("getSystemState")[0]).get(topic, [])
-    return next((node for node in publishers if listens(ask_master("lookupNode", node))), "")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -32,7 +32,11 @@ def train(options: argparse.Namespace) -> int:
         raise RecordingFault(f"{options.out} exists already, and nothing is overwritten; choose another name.")
     folders = [one for name in options.names for one in _recordings(folder_of(name))][: options.episodes or None]
     torch.set_num_threads(1)
-    parts, tasks = zip(*(samples(one) for one in tqdm(folders, unit="episode")))
+    parts, tasks = zip(*(samples(one, options.task) for one in tqdm(folders, unit="episode")))
+    other = next((i for i, task in enumerate(tasks) if task != tasks[0]), 0)
+    if other:
+        shown = f"{folders[other]} shows {tasks[other]!r}, but {folders[0]} {tasks[0]!r}"
+        raise RecordingFault(f"{shown}, and a policy has one task: leave one out, or give --task.")
     rows = sum(int(part.there[:, 0].sum()) for part in parts)
     if not rows:
         raise RecordingFault("No row of these recordings was led by a hand, so there is nothing to learn from.")
@@ -64,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="the policy, for run_policy.py")
     few = "only the first so many (default: all)"
     parser.add_argument("--episodes", type=whole(1, 10**6), default=0, metavar="N", help=few)
+    parser.add_argument("--task", default="", help="what is done, in a sentence (default: as the recordings say)")
     less = "what the policy does not get"
     parser.add_argument("--without", choices=("map", "touch"), action="append", default=[], help=less)
     parser.add_argument("--steps", type=whole(1, 10**7), default=6000, help="of the training (default: 6000)")

@@ -12,11 +12,12 @@ from apriltag_ros.detector import DetectionResult, TagDetector, draw_tags
 from apriltag_ros.msg import AprilTagDetectionArray
 from apriltag_ros.ros.messages import detection_array, read_parameters
 from common import clock
+from common.camera_model import camera_model_from_info
 from common.errors import ConfigError
 from common.ros.broadcaster import FreshBroadcaster
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import COLOUR, array_from_image, camera_model_from_info, colour_from_image, image_message
+from common.ros.images import COLOUR, array_from_image, colour_from_image, image_message
 from common.ros.inputs import NodeInputs
 
 

@@ -11,8 +11,8 @@ from std_msgs.msg import Header
 from apriltag_ros.detector import TagDetector, draw_tags
 from apriltag_ros.ros.messages import detection_array, read_parameters
 from apriltag_ros.srv import AnalyzeSingleImage, AnalyzeSingleImageResponse
+from common.camera_model import camera_model_from_info
 from common.frames import frame_name
-from common.ros.images import camera_model_from_info
 
 
 def _answer(detector: TagDetector, rectified: bool, request) -> AnalyzeSingleImageResponse:

@@ -24,9 +24,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 from common import clock
-from common.camera_model import CameraModel
+from common.camera_model import CameraModel, same_camera
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import camera_info_message, image_message, same_camera
+from common.ros.images import camera_info_message, image_message
 from common.ros.node import run
 from common.ros.params import private_config
 from vision.camera.registration import POINT, PairsConfig, Registration, millimetres_from_metres

@@ -14,10 +14,10 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from common import clock
-from common.camera_model import CameraModel
+from common.camera_model import CameraModel, camera_model_from_info
 from common.plausible import check_near
 from common.ros.conversions import pose_from_transform
-from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
+from common.ros.images import colour_from_image, depth_from_image
 from common.ros.inputs import NodeInputs, clause
 from common.ros.node import while_running
 from common.ros.on_demand import OnDemand

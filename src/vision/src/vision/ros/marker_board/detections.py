@@ -14,10 +14,11 @@ from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
 from apriltag_ros.photometric import PhotometricRefiner
 from apriltag_ros.settings import DEFAULT_FAMILY, TagTarget
 from common import clock
+from common.camera_model import camera_model_from_info
 from common.errors import ConfigError, DeviceError
 from common.poses import pose
 from common.ros.conversions import array
-from common.ros.images import camera_model_from_info, colour_from_image
+from common.ros.images import colour_from_image
 from common.ros.inputs import NodeInputs
 from common.ros.params import arm_frames
 from common.rotations import rotation_from_quaternion

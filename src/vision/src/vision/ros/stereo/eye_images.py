@@ -12,8 +12,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
 from common import clock
-from common.camera_model import CameraModel
-from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image, same_camera
+from common.camera_model import CameraModel, camera_model_from_info, same_camera
+from common.ros.images import colour_from_image, depth_from_image
 from common.ros.inputs import NodeInputs
 from common.ros.on_demand import OnDemand
 from vision.stereo.view import EyeImages, ImageAge, StereoView, StereoViewConfig
