@@ -59,6 +59,8 @@ class RoundsScenario(Scenario):
                     self._leapd.ask("reach", **result.move.fields)
                 if not result.over:
                     self._publish(result)
+            if rospy.is_shutdown():
+                return  # the round is neither good nor bad
             self._seconds.append(clock.monotonic() - began)
             good = self._lifted_since is not None and not result.failure
             self._good += good
@@ -182,7 +184,7 @@ class PolicyScenario(RoundsScenario):
 
     def _helped(self, operator: PickAndPlace | _Nudge, view: PickView, now: float) -> PickStep:
         result = operator.step(view, now)
-        if result.over and isinstance(operator, PickAndPlace):
+        if result.failure or (result.over and isinstance(operator, PickAndPlace)):
             return result
         if not result.over:
             return PickStep(f"hand: {result.step}", result.move)
@@ -216,11 +218,16 @@ class _Nudge:
     """A hand that leads the tool aside once it follows, and is done."""
 
     def __init__(self) -> None:
+        self._began: float | None = None
         self._since: float | None = None
 
     def step(self, view: PickView, now: float) -> PickStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
-        aside_m, moves_s, stays_s = (0.06, 0.03, 0.0), 1.2, 2.5
+        aside_m, moves_s, stays_s, patience_s = (0.06, 0.03, 0.0), 1.2, 2.5, 30.0
+        if self._began is None:
+            self._began = now
+        if self._since is None and now - self._began > patience_s:
+            return PickStep("wait", failure=f"the arm did not follow within {patience_s:g} s")
         if self._since is None and view.following:
             self._since = now
             return PickStep("aside", Move(np.array(aside_m), 0.0, 0.0, moves_s))
