@@ -17,6 +17,8 @@ from test_robot_application import KNOWN, events, following
 
 from common import clock
 from common.errors import ConfigError
+from kuka_control.loop.commands import Observation
+from kuka_control.loop.giving_way import GivingWay
 from kuka_control.model.admittance import (
     Admittance,
     AdmittanceSettings,
@@ -61,7 +63,7 @@ def test_small_old_and_broken_forces_do_nothing():
     limits = AdmittanceSettings()
     for force, age in (
         (4.9 * X, 0.0), (100.0 * X, 0.11), (None, 0.0), (np.full(3, np.nan), 0.0), (np.full(3, np.inf), 0.0),
-        (0.0 * X, 0.0), (100.0 * X, math.nan),
+        (0.0 * X, 0.0), (100.0 * X, math.nan), (1e200 * X, 0.0), (1.1e4 * X, 0.0),
     ):  # fmt: skip
         assert not run(Admittance(limits), force, 1.0, age).any(), (force, age)
     pushed = Admittance(limits)
@@ -207,6 +209,35 @@ def test_a_force_that_is_not_known_holds_the_tool_where_it_is(monkeypatch):
             del lost["force"]
             assert touched(one, 0.5, PUSH)[-1][0] > held[0] and UNKNOWN not in one.said
         assert is_back(touched(one, 4.0, NOTHING))
+
+
+def test_forces_with_gaps_hold_the_tool_for_a_while():
+    config, setup = rig(RealTimeConfig, admittance=True)
+    way, now, q = GivingWay(config.gives_way, setup.load), 0.0, setup.home.q
+    weight, _ = setup.load.wrench(q)
+    tool = setup.home.T_base_tool[:3, :3]
+
+    def after(seconds, force, ages):
+        nonlocal now
+        for step in range(round(seconds / 0.01)):
+            now += 0.01
+            given = way.step(Observation(q, force=weight + tool.T @ force, force_age=ages[step % len(ages)]), now)
+        return given
+
+    assert not after(0.2, 0.0 * X, [0.01]).any() and way.why_not is None
+    far = after(1.0, 45.0 * X, [0.09])
+    assert far[0] > 0.01 and way.says == GIVES_WAY
+    held = after(1.0, 45.0 * X, [0.09, 0.09, 0.09, 0.11])
+    assert held[0] < far[0] + 1e-3 and way.says == UNKNOWN
+    assert after(0.25, 45.0 * X, [0.09])[0] == held[0]
+    assert after(0.5, 45.0 * X, [0.09])[0] > held[0] + 1e-3 and way.says == GIVES_WAY
+
+
+def test_a_push_makes_no_desired_frame_infeasible():
+    with loop() as one:
+        holding(one, shifted(0.0, 0.0, 0.005 - one.rig.home.T_base_tool[2, 3]))
+        touched(one, 1.5, (0.0, 0.0, -60.0))
+        assert one.loop._yielded[2] < -0.005 and "shuts down" not in one.said
 
 
 def test_a_weight_that_is_not_known_keeps_the_tool_stiff():

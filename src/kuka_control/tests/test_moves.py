@@ -18,7 +18,7 @@ from kuka_control.limits.line_plan import MoveRefused, plan_line
 from kuka_control.loop import assembly
 from kuka_control.loop.commands import Servo
 from kuka_control.loop.line_stream import LineStream
-from kuka_control.loop.moves import MoveGoal, MoveState
+from kuka_control.loop.moves import MoveGoal, MoveState, ProgramMotion
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 
@@ -320,6 +320,36 @@ def test_a_line_begins_where_the_arm_is_measured():
     np.testing.assert_array_equal(goals[0], start)
     within_limits(goals)
     np.testing.assert_array_equal(goals[-1], plan.q_goal)
+
+
+@pytest.mark.ros
+def test_of_two_motions_that_are_asked_for_at_once_one_is_refused(monkeypatch):
+    from kuka_control.ros import moves
+
+    class Handle:
+        said = ""
+
+        def get_goal(self):
+            return moves.MoveGoalMessage(kind=moves.MoveGoalMessage.NAMED, name="aside")
+
+        def set_accepted(self):
+            self.said = "accepted"
+
+        def set_rejected(self, result, sentence):
+            self.said = sentence
+
+    class Planner:
+        def plan(self, number, goal, q):
+            answers.append(server.guide(True))  # while the path of the other is planned
+            return ProgramMotion(number, "aside", q, 0.1)
+
+    answers = []
+    monkeypatch.setattr(moves.actionlib, "ActionServer", lambda *_, **__: SimpleNamespace(start=lambda: None))
+    step = SimpleNamespace(mode=Mode.HOME, reason="")
+    server, handle = moves.MoveServer(Planner(), lambda: (step, HOME.q), stops=True, unguided=None), Handle()
+    server._goal(handle)
+    assert answers[0].success and server.guided, "the hand guides"
+    assert "has not ended" in handle.said, "the program is told"
 
 
 @pytest.mark.ros

@@ -85,6 +85,8 @@ SLACK_M: Final = 1e-3  # the path to a stop may lead this far out of the workspa
 
 # The admittance.
 FORCE_OLD_S: Final = 0.1  # a force older than this is not known; the toolbox tells one every 0.04 s in servo mode
+FORCE_AGAIN_S: Final = 0.3  # and counts again once none was unknown for so long: with gaps the tool would swing
+FORCE_MOST_N: Final = 1e4  # a greater one cannot be true
 FORCE_DELAY_S: Final = 0.12  # from a displacement until the force that comes of it is known, at most: 0.04 s between
 # forces, 0.02 s between frames, the lag of the limited goals, of the drives, and of the link
 

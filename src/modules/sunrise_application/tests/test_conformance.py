@@ -316,6 +316,21 @@ def test_contact_is_answered_alike(ours):
     assert second.hear() == "event_contact: force_\n"
 
 
+@pytest.mark.parametrize("word", ["lrGuide_", "startDirectServoJoints"])
+def test_what_is_said_during_a_guarded_motion_does_not_follow_it(ours, word):
+    client, second = joined(ours, "2_60")
+    assert client.ask("lrContact_0_0_0_0_0_0_0_10_").startswith("ok_")
+    begin(client, "doPTP!inJS_0_-300_300_")
+    until(second, "MOTION")
+    client.send(word)
+    assert word != "lrGuide_" or client.hear() == "no_lrGuide_the arm is not at rest_\n"
+    ours.push(12.0)
+    assert client.hear() == "stopped_contact, force_\n"
+    assert second.hear() == "event_contact: force_\n"
+    clock.sleep(0.1)
+    assert second.ask("lrState_").startswith("state_IDLE_")
+
+
 def test_a_second_and_the_next_client_are_answered_alike(ours):
     client, stranger = ours.connect(), ours.connect()
     begin(client, "doPTPinJS")

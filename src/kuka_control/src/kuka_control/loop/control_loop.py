@@ -560,6 +560,8 @@ class ControlLoop(ABC, Generic[Settings]):
         self._position = fresh.T_base_tool[:3, 3]
         scaling = MotionScaling(self._scaling.factor, self._scaling.offset + self._yielded) if servo else self._scaling
         target = self._chain.resolve(fresh.T_base_tool, scaling, q_seed, before, dt)
+        if isinstance(target, Infeasible) and self._yielded.any():  # a force ends no controller
+            target = self._chain.resolve(fresh.T_base_tool, self._scaling, q_seed, before, dt)
         if isinstance(target, Infeasible):
             self._infeasible = f"The controller shuts down because of the desired tool frame: {target}."
             self._report("error", self._infeasible)

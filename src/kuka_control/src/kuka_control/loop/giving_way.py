@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from kuka_control.loop.commands import Observation
 from kuka_control.model.admittance import Admittance, AdmittanceSettings, known_force
 from kuka_control.model.target import NO_OFFSET
 from kuka_control.model.tool_load import ToolLoad
-from kuka_control.numbers import FORCE_OLD_S
+from kuka_control.numbers import FORCE_AGAIN_S, FORCE_OLD_S
 
 SHOWN_M = 0.002  # a smaller displacement is not said
 UNKNOWN = "The force on the tool is not known; it gives way no further."
@@ -30,7 +32,7 @@ class GivingWay:
         """Begins a stay, at rest in the desired frame at the time `now` [s]."""
         self._admittance = Admittance(self._settings)
         self._begun = self._time = now
-        self._known_at = now  # when the force was known last [s]
+        self._unknown_at = -math.inf  # when the force was not known last [s]
         self._weighed = False  # whether the force at the begin is that of the weight
         self._reading: np.ndarray | None = None  # the newest force as it was measured
         self._force: np.ndarray | None = None  # without weight, in the base
@@ -65,10 +67,11 @@ class GivingWay:
                     "there, and set tool_mass, tool_center_of_mass and kuka/set_payload."
                 )
                 return NO_OFFSET
-        if force is not None:
-            self._known_at = now
-        self.why_not = UNKNOWN if now - self._known_at > FORCE_OLD_S else None
-        return self._admittance.step(force, seen.force_age, dt)
+        if force is None and (self._weighed or now - self._begun > FORCE_OLD_S):
+            self._unknown_at = now
+        holds = now - self._unknown_at < FORCE_AGAIN_S
+        self.why_not = UNKNOWN if holds else None
+        return self._admittance.step(None if holds else force, seen.force_age, dt)
 
     def _touching(self, seen: Observation, force: np.ndarray) -> np.ndarray:
         """Returns the force of what touches the tool, in the base, shape (3,) [N]."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.numbers import FORCE_DELAY_S, FORCE_OLD_S
+from kuka_control.numbers import FORCE_DELAY_S, FORCE_MOST_N, FORCE_OLD_S
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class Admittance:
 
 
 def known_force(force: np.ndarray | None, age: float) -> np.ndarray | None:
-    """Returns a force, shape (3,) [N], that was measured `age` [s] ago; None if it is too old or not finite."""
-    return force if force is not None and age <= FORCE_OLD_S and np.isfinite(force).all() else None
+    """Returns a force, shape (3,) [N], that was measured `age` [s] ago; None if it is too old or cannot be true."""
+    return force if force is not None and age <= FORCE_OLD_S and np.linalg.norm(force) <= FORCE_MOST_N else None
 
 
 def _bounded(vector: np.ndarray, longest: float) -> np.ndarray:

@@ -85,15 +85,12 @@ class MoveServer:
             guided = message.kind == MoveGoalMessage.GUIDED
             goal = None if guided else _goal_of(message, self._base)
             move = self._guided(number, joints) if goal is None else self._planner.plan(number, goal, joints)
+            self._ask(move, handle)
         except Exception as error:  # also what nobody expects must end the goal: the program waits for it
             known = isinstance(error, MoveRefused)
             sentence = str(error) if known else f"The motion cannot be planned: {type(error).__name__}: {error}."
             handle.set_rejected(MoveResult(False, sentence, joints.tolist()), sentence)
             rospy.logwarn("kuka/move: %s", sentence)
-            return
-        handle.set_accepted()
-        with self._lock:
-            self._asked, self._handle, self.move = clock.monotonic(), handle, move
 
     def guide(self, on: bool) -> SwitchReply:
         """Lets a hand guide the arm, or ends that."""
@@ -104,11 +101,9 @@ class MoveServer:
                     self.move = replace(move, cancelled=True)
             return SwitchReply(True, "No hand guides the arm any more.")
         try:
-            move = self._guided(*self._begin())
+            self._ask(self._guided(*self._begin()))
         except MoveRefused as error:
             return SwitchReply(False, str(error))
-        with self._lock:
-            self._asked, self._handle, self.move = clock.monotonic(), None, move
         return SwitchReply(True, "Hold the enabling switch and move the arm; its release ends that.")
 
     @property
@@ -120,15 +115,25 @@ class MoveServer:
     def _begin(self) -> tuple[int, np.ndarray]:
         """Returns the number of the next motion, and the joints of the arm; raises MoveRefused."""
         with self._lock:
-            busy = self.move is not None
+            self._refuse_second()
             self._number += 1
             number = self._number
         step, joints = self._read()
-        if busy:
-            raise MoveRefused("The motion before has not ended; cancel it or wait.")
         if step is None or step.mode not in READY:
             raise MoveRefused("The controller starts." if step is None else wrong_time(step.mode, step.reason))
         return number, joints
+
+    def _ask(self, move: ProgramMotion, handle: actionlib.ServerGoalHandle | None = None) -> None:
+        """Asks the control loop for a motion; raises MoveRefused: another one was asked for while this was planned."""
+        with self._lock:
+            self._refuse_second()
+            if handle is not None:
+                handle.set_accepted()
+            self._asked, self._handle, self.move = clock.monotonic(), handle, move
+
+    def _refuse_second(self) -> None:
+        if self.move is not None:
+            raise MoveRefused("The motion before has not ended; cancel it or wait.")
 
     def _guided(self, number: int, joints: np.ndarray) -> ProgramMotion:
         if self._unguided is not None:

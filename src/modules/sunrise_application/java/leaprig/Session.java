@@ -138,7 +138,7 @@ final class Session {
         }
         if (request.word == Word.PAUSE || request.word == Word.RESUME || request.word == Word.CANCEL)
             return demanded(request.word);
-        if (request.word == Word.STATE) return state(Double.NaN);
+        if (request.word == Word.STATE) return state();
         return Text.no(request.word, "not on this connection");
     }
 
@@ -203,9 +203,9 @@ final class Session {
             case BEAT:
                 return Text.ok(Word.BEAT);
             case STATE:
-                return state(now);
+                return state();
             case GOAL_STATE:
-                String before = state(now);
+                String before = state();
                 goals.setJoints(request.numbers, request.count);
                 return before;
             case PAUSE:
@@ -285,8 +285,8 @@ final class Session {
         return Text.ok(request.word, n);
     }
 
-    /** Mode, joints, measured torques, external torques, force, moment, longest cycle [ms], silence [s], safety. */
-    private String state(double now) {
+    /** Mode, joints, measured torques, external torques, force, moment, longest cycle [ms], operation mode, enabling, safety. */
+    private String state() {
         double[] joints = new double[7];
         arm.joints(joints);
         StringBuilder text = new StringBuilder("state_").append(mode).append('_');
@@ -603,7 +603,7 @@ final class Session {
         mode = Mode.MOTION;
         words.clear();
         kept = null;
-        keeps = guarded;
+        keeps = guarded && !hello; // who said hello was told no, or is to ask again
         motion = made;
         motion.contact = hello ? contact : null;
         ending = request.stops != stops ? "the client" : null;

@@ -286,6 +286,20 @@ public final class UnitTests {
         equal("done\n", bench.client.take());
     }
 
+    public void whatIsRefusedDuringAGuardedMotionDoesNotFollowIt() {
+        for (String word : new String[] {"lrGuide_", "doPTPinCS", "doPTPinJS_1_", "startDirectServoJoints"}) {
+            Bench bench = new Bench();
+            bench.hello();
+            bench.ask("lrWatchdog_2_60_");
+            bench.ask("jRelVel_0.5_");
+            bench.ask(HOME);
+            equal("done\n", bench.ask("doPTP!inJS_0_-100_100_"));
+            bench.ask(word);
+            bench.run(1.1);
+            equal(word + Session.Mode.IDLE, word + bench.session.mode());
+        }
+    }
+
     public void servoFollowsGoalsAndStopsByItsWord() {
         Bench bench = new Bench();
         equal("done\n", bench.ask("startDirectServoJoints"));
@@ -483,11 +497,17 @@ public final class UnitTests {
     }
 
     public void aStopOfAnOldClientsMotionIsANak() {
-        Bench bench = new Bench();
-        bench.ask("doPTPinJS");
-        bench.session.stop();
-        bench.run(0.2);
-        equal("nak\n", bench.client.take());
+        for (String start : new String[] {"doPTPinJS", "doPTPinCS", "doPTPinCSRelEEF", "doPTPinCSCircle1", "doPTP!CSCircle1_0_-100_100_"}) {
+            Bench bench = new Bench();
+            bench.ask("jRelVel_0.5_");
+            bench.ask(HOME);
+            bench.ask(start);
+            bench.session.stop();
+            bench.run(Bench.CYCLE);
+            check(bench.arm.calls.contains("cancel"), start);
+            bench.run(0.2);
+            equal("nak\n", bench.client.take());
+        }
     }
 
     public void motionsPauseResumeAndAreCancelled() {

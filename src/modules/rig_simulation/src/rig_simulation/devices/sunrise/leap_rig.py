@@ -406,6 +406,7 @@ class LeapRigApplication(Application):
             self._tell(f"the controller gave the motion up: {self._arm.gave_up}")
         elif broken:
             self._tell(f"contact: {broken}")
+        self._keeps_word = self._keeps_word and not self.hello  # who said hello was told no, or is to ask again
         super()._finish_motion(now)
 
     def _result(self) -> str:
