@@ -19,6 +19,7 @@ from grasping.pipeline.settings import overlaid, settings_from
 from grasping.poses.hand_view import SCALARS
 from grasping.poses.hypotheses import MAX_TILT_RAD, turned
 from grasping.poses.lift_network import LiftNetwork
+from grasping.poses.taste import nobody
 
 BOXES = (BOX, (-0.12, 0.1, 0.0, (0.05, 0.05, 0.06)))
 LOW = {"peaks": {"threshold": 0.0}}
@@ -34,6 +35,18 @@ class Likes(LiftNetwork):
     def forward(self, features):
         quality, agrees, _, _, _, down = features[:, -SCALARS:].T[:6]
         return 10.0 * quality + 2.0 * agrees - 50.0 * torch.abs(down - self._cos) - 4.0
+
+
+class AnyTilt(LiftNetwork):
+    """Believes that all grasps lift as well."""
+
+    def forward(self, features):
+        return 0.0 * features[:, 0] + 3.0
+
+
+class Nonsense(LiftNetwork):
+    def forward(self, features):
+        return np.nan * features[:, 0]
 
 
 def chain(changes=None, lifts=None, network=None, taste=None):
@@ -113,6 +126,22 @@ def test_in_a_noisy_image_the_best_stays_where_it_is_and_a_removed_thing_is_left
     left = of.step(depth_picture(ABOVE, BOXES[1:]), CAMERA, ABOVE, 1.0)
     away = [one.grasp.T_camera_grasp for one in left.candidates]
     assert away and all(np.hypot(*((ABOVE @ left.view.T_camera_view @ T)[:2, 3] - BOX[:2])) > 0.05 for T in away)
+
+
+def test_a_grasp_of_the_image_before_tilts_no_further_than_allowed_once_the_table_is_seen_otherwise():
+    """The camera's pose is late for an image: the table seems to lean, and grasps lean with it."""
+    of, tilts = chain({"view": "camera", "max_tilt": 5.0, **LOW}, AnyTilt()), []
+    for place in (ABOVE, ASIDE):
+        found = of.step(depth_picture(place, BOXES), CAMERA, ASIDE, 0.0)
+        T = ASIDE @ np.array([one.grasp.T_camera_grasp for one in found.candidates])
+        tilts.append(np.degrees(np.arccos(T[:, :3, 2] @ -UP)))
+    assert tilts[0].min() > 20.0 and tilts[1].max() < 7.0
+
+
+@pytest.mark.parametrize("taste", [None, nobody()._replace(weights=np.ones(len(nobody().weights)))])
+def test_a_network_of_lifts_that_says_nonsense_has_no_grasps(taste):
+    found = look(chain(LOW, Nonsense(), taste=taste))
+    assert found.grasps == () and "no grasp lifts with a probability above 0.00" in found.reason
 
 
 @pytest.mark.parametrize(

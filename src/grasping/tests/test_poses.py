@@ -297,6 +297,10 @@ def test_weights_come_back_and_other_files_are_refused():
         "of the hand 'claw'": {"hand": "claw"},
         "GG-CNN's file None": {"ggcnn": None},
         "gripper/opening is -1.0, but must be a finite number": {"gripper": {"opening": -1.0}},
+        "its numbers are not all finite": {"state": {**network.state_dict(), "layers.4.bias": torch.tensor([np.nan])}},
+        "divides the logits by -1,": {"state": {**network.state_dict(), "temperature": torch.tensor(-1.0)}},
+        "divides the logits by 0,": {"state": {**network.state_dict(), "temperature": torch.tensor(0.0)}},
+        "its numbers are those of another network.$": {"state": {}},
     }
     for sentence, wrong in wrongs.items():
         nobodys = io.BytesIO()

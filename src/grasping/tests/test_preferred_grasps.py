@@ -174,9 +174,25 @@ def test_in_a_noisy_image_the_favourite_stays_where_it_is_and_a_removed_thing_is
     assert np.hypot(*(left.candidates[0].grasp.T_camera_grasp[:2, 3] - seen_from_above(found)[:2, 3])) > 0.05
 
 
-def test_a_grasp_of_the_image_before_stays_whichever_finger_is_which():
+@pytest.fixture(scope="module", name="of")
+def of_fixture() -> ImageMaps:
     view = look(preferring(nobody())).view
-    of = ImageMaps.of_output(view.image, view.camera, infer(Nearest(), view.image.input))
+    return ImageMaps.of_output(view.image, view.camera, infer(Nearest(), view.image.input))
+
+
+def test_a_grasp_of_the_image_before_does_not_stay_where_another_lifts_much_better(of):
+    """It stays without a taste, as the safest but for 5 points; what the operator wants is not safe at all."""
+    taste, lifts, opening = leaning(0.4, height=0.01), Lifts(20.0), YAML["tool"]["max_opening"]
+    leant = offer(lifts, of, opening).safest.of.T[:1].copy()
+    leant[:, :3, :3] = leant[:, :3, :3] @ rotation_about(1, 0.1)
+    before = of.hypotheses(leant, np.array([opening]))
+    given = offer(lifts, of, opening, before=before)
+    np.testing.assert_array_equal(given.safest.of.T[0], leant[0])
+    found = preferred(lifts, of, given, taste, opening, before=before)
+    assert given.safest.probability[0] < min(SAFE, given.safest.probability.max() - MOST_LOST) <= found.probability[0]
+
+
+def test_a_grasp_of_the_image_before_stays_whichever_finger_is_which(of):
     taste, lifts, opening = leaning(0.2, height=0.01), Lifts(), YAML["tool"]["max_opening"]
     given = offer(lifts, of, opening)
     favourite = preferred(lifts, of, given, taste, opening).of.T[0]

@@ -14,7 +14,7 @@ from common.poses import read_only
 from grasping.network.maps import Peak
 from grasping.pipeline.projection import CameraGrasp, seen_by
 from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
-from grasping.poses.hypotheses import pixels_of, turned
+from grasping.poses.hypotheses import pixels_of, turned, upright
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.preferred import GraspUncertainty, offer, preferred, uncertainty
 from grasping.poses.taste import PoseTaste
@@ -47,7 +47,11 @@ def lift_grasps(
     openings, shape (k,) [m], of those in the image before, which stay while they are good; `widest`: opening of the
     hand [m]; `max_tilt` [rad].
     """
-    again = of.hypotheses(*before) if len(before[0]) else None
+    again = None
+    if len(before[0]):
+        T = before[0].copy()
+        T[:, :3, :3] = upright(T[:, :3, :3], of.frame, max_tilt)  # the table was maybe seen otherwise then
+        again = of.hypotheses(T, before[1])
     about = None
     if taste is None:
         scored = choose(network, of, widest, max_tilt, again)

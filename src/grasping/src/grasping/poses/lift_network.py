@@ -61,6 +61,8 @@ def loaded(data: bytes) -> LiftNetwork:
             raise RigError(f"it is of the hand {hand!r} and of GG-CNN's file {ggcnn!r}")
         network = LiftNetwork(hand, ggcnn, parse(Gripper, content.get("gripper", {}), "gripper/"))
         give(network, content.get("state"))
+        if network.temperature <= 0.0:
+            raise RigError(f"it divides the logits by {float(network.temperature):g}, which must be above 0")
     except RigError as error:
         sentence = str(error).rstrip(".")
         raise RigError(f"The file holds no weights of the network of lifts: {sentence}.") from error

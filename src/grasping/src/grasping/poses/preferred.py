@@ -73,7 +73,7 @@ def preferred(
     near = of.hypotheses(*varied(part, each, np.random.default_rng(0), most_open, of.frame, max_tilt, scale))
     away = distances(np.repeat(part.T, each, axis=0), near.T, taste)
     tried, score = joined(part, near), np.concatenate([appeal, np.repeat(appeal, each) - 0.5 * away**2])
-    others = safest.of.part(np.array([0]))
+    others = safest.of.part(np.array([np.argmax(safest.rank)]))  # the first may be one of the image before
     others = others if before is None else joined(others, before)
     away = distances(others.T[:, None], part.T, taste)
     tried, score = joined(tried, others), np.append(score, (appeal - 0.5 * away**2).max(axis=1))
