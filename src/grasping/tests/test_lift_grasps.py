@@ -87,14 +87,17 @@ def test_tilts_count_from_the_tables_normal_and_are_bounded_wherever_the_camera_
     found = look(chain({"view": view, "max_tilt": most, **LOW}, Likes(tilt=np.radians(40.0))), place)
     cos = np.array([grasp.T_base_grasp[:3, 2] @ -UP for grasp in found.grasps])
     assert len(cos) and np.degrees(np.arccos(cos.min())) < most + 2.0
-    assert np.degrees(np.arccos(cos[0])) == pytest.approx(min(most, 40.0), abs=5.0)
+    tilt = np.degrees(np.arccos(cos[0]))
+    assert min(most, 30.0) - 5.0 < tilt < 45.0, "less than it believes in, since tilts cost"
 
 
-def test_proposals_are_distinct_in_the_order_of_their_probability_and_no_more_than_wanted():
+def test_proposals_are_distinct_in_the_order_of_their_ranks_and_no_more_than_wanted():
     for count in (1, 3, 10):
         found = look(chain({"peaks": {"count": count, "threshold": 0.0}}, Likes(0.3)))
         assert len(found.candidates) == count
-        assert [c.peak.quality for c in found.candidates] == sorted((g.quality for g in found.grasps), reverse=True)
+        ranks = [c.rank for c in found.candidates]
+        assert ranks == sorted(ranks, reverse=True)
+        assert [c.peak.quality for c in found.candidates] == [g.quality for g in found.grasps]
         assert all(0.0 <= grasp.quality <= 1.0 for grasp in found.grasps)
         R, peaks = orientations(found), [grasp.peak for grasp in found.grasps]
         for i, j in itertools.combinations(range(len(peaks)), 2):

@@ -27,7 +27,7 @@ class LiftGrasp(NamedTuple):
 
     peak: Peak  # in the network's image
     grasp: CameraGrasp  # before the view's camera
-    rank: float  # by which grasps are ordered, 0 to 1: the quality, or the favourite's is 1
+    rank: float  # by which grasps are ordered, 0 to 1: the quality less what the tilt costs, or the favourite's is 1
     uncertainty: GraspUncertainty | None  # None without a taste
 
 
