@@ -25,7 +25,8 @@ from grasping.lab.evaluation.grasp_distance import miss
 from grasping.lab.evaluation.person_study import BOTH, COLUMNS, NETWORK, PERSON, StudyTrial
 
 HOW = {
-    NETWORK: "Start the rig with refine: false, call grasping/execute, and let the person close the hand unmoved.",
+    NETWORK: "Start the rig with refine: false and lifts: never, call grasping/execute, and let the person close the "
+    "hand unmoved.",
     PERSON: "Let the person grasp without a proposal.",
     BOTH: "Start the rig with refine: true, call grasping/execute, and let the person close the hand unmoved.",
 }
