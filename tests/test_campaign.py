@@ -424,3 +424,25 @@ def test_the_experiment_with_policies_counts_each_limit_that_an_arm_breaks():
     assert broken_by(dataclasses.replace(still, v=-fast), workspace, True) == ["joint speed"]
     assert broken_by(dataclasses.replace(still, tool_speed=0.72), workspace, True) == ["tool speed"]
     assert broken_by(dataclasses.replace(still, safety_stop="contact"), workspace, True) == ["safety stop"]
+
+
+@pytest.mark.ros
+def test_the_experiment_with_policies_counts_stops_and_what_the_guard_sees(virtual_graph):
+    import rospy
+
+    from campaign.policy import Progress
+    from common import clock
+    from rig_msgs.msg import GuardState, KukaStatus
+
+    progress = Progress()
+    statuses = rospy.Publisher("kuka/status", KukaStatus, queue_size=10)
+    guards = rospy.Publisher("kuka/guard", GuardState, queue_size=10)
+    for mode in ("servo", KukaStatus.STOPPED, KukaStatus.STOPPED, "servo", KukaStatus.STOPPED):
+        statuses.publish(KukaStatus(mode=mode))
+        clock.sleep(0.1)
+    for on, distance in ((True, 0.05), (True, 0.017), (False, 0.0), (True, 0.019)):
+        guards.publish(GuardState(on=on, distance=distance, margin=0.02))
+        clock.sleep(0.1)
+    progress._values = {"seconds": "9.5,10.0", "good": "2", "step": "done"}
+    broken = {"stopped": 2, "guard": 1}
+    assert progress.result == {"good": 2, "seconds": [9.5, 10.0], "broken": broken, "least_distance_m": 0.017}

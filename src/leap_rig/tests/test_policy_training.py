@@ -39,6 +39,7 @@ from test_recording_export import seen_and_felt
 from leap_rig.policy.network import PolicyAbout, PolicyNetwork, loaded, saved
 from leap_rig.policy.training import CHUNK, Samples, samples, trained, upcoming
 from leap_rig.recording.recording_files import RecordingFault, messages
+from leap_rig.recording.session import EpisodeLabel, episode_folder, write_label
 
 ABOUT = PolicyAbout("Pick the cup up", 10, CHUNK, 3, True, True)
 ANGLE, SMALL, PLACE = st.floats(-3.0, 3.0), st.floats(-0.4, 0.4), st.floats(-0.3, 0.3)
@@ -207,18 +208,20 @@ def test_rows_that_no_hand_led_are_not_learned_from():
     assert_allclose(alone, both)
 
 
-def seen_episode(folder, info_at=0.0, camera=True, tool_until=1.0, task="lift", **changes):
-    """An episode of 1 s in which a hand leads the tool for 0.7 s over a table; `changes` of its camera_info."""
+def seen_episode(folder, info_at=0.0, camera=True, tool_until=1.0, desired_until=1.0, task="lift", **changes):
+    """An episode of 1 s in which a hand leads the tool for 0.7 s over a table, which is 50 mm lower after half of it;
+    the fingers' commands are the time, 20 ms late; `changes` of its camera_info."""
     import rospy
     from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
     from sensor_msgs.msg import CameraInfo, Image
     from std_msgs.msg import Header
     from tf2_msgs.msg import TFMessage
 
+    from reflex_msgs.msg import RadianServoCommands
     from rig_msgs.msg import TeleopState
 
-    others = "/leap_kuka/state", "/camera/depth/image", "/tf"
-    felt = messages(seen_and_felt(folder.with_name("felt")) / "messages.mcap")
+    others = "/leap_kuka/state", "/camera/depth/image", "/tf", "/reflex_takktile/radian_hand_command"
+    felt = messages(seen_and_felt(folder.with_name(f"{folder.name}_felt")) / "messages.mcap")
     found = [one for one in felt if one.topic not in others]
     stamp = rospy.Time(0, START)
     K = [60.0, 0, 47.5, 0, 60.0, 31.5, 0, 0, 1.0]
@@ -238,13 +241,15 @@ def seen_episode(folder, info_at=0.0, camera=True, tool_until=1.0, task="lift", 
     # The camera looks down on a table that is 0.7 m below it; the tool is 0.2 m above the table.
     if camera:
         found.append(stored("/tf_static", TFMessage([frame("camera", (0.4, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))]), 0.0))
-    depth = Image(Header(0, stamp, "camera"), 64, 96, "16UC1", 0, 192, np.full((64, 96), 700, "<u2").tobytes())
     for i in range(20):
         at = 0.05 * i
+        mm = np.full((64, 96), 700 if i < 10 else 750, "<u2")
+        depth = Image(Header(0, stamp, "camera"), 64, 96, "16UC1", 0, 192, mm.tobytes())
         found.append(stored("/camera/depth/image", depth, at))
+        found.append(stored("/reflex_takktile/radian_hand_command", RadianServoCommands([at] * 4), at + 0.02))
         tools = [frame(f"kuka/tool_frame/{name}", (0.4 + ahead, 0.0, 0.5), (1.0, 0.0, 0.0, 0.0), at)
-                 for name, ahead in (("measured", 0.0), ("desired", 0.01 * i))
-                 if name == "desired" or at < tool_until]  # fmt: skip
+                 for name, ahead, until in (("measured", 0.0, tool_until), ("desired", 0.01 * i, desired_until))
+                 if at < until]  # fmt: skip
         found.append(stored("/tf", TFMessage(tools), at))
         found.append(stored("/leap_kuka/state", TeleopState(state="running", follows=i < 14), at))
     return write_recording(folder, sorted(found, key=lambda one: one.received), name="x", task=task)
@@ -255,17 +260,30 @@ def test_an_episode_gives_rows_as_the_camera_and_the_hand_had_them(tmp_path):
     with pytest.raises(RecordingFault, match="no depth images with their camera_info"):
         samples(seen_and_felt(tmp_path / "blind"))
     one, task = samples(seen_episode(tmp_path / "made"))
-    seen = one.maps[3].astype(float)
-    assert task == "lift" and abs(np.median(seen[seen > -0.39]) + 0.2) < 0.02
+    assert task == "lift"
+    seen = [float(np.median(row[row > -0.39])) for row in one.maps]
+    assert_allclose(seen, [-0.2] * 5 + [-0.25] * (len(seen) - 5), atol=0.002)
+    # The commands that were due at the rows after the second one.
+    assert_allclose(one.actions[1, :4, -4:], [[at] * 4 for at in (0.15, 0.25, 0.35, 0.45)], atol=1e-6)
     assert one.there[:3, 0].all() and not one.there[-3:].any()
     step = one.actions[1, 2, 0] - one.actions[1, 0, 0]
     assert 0.03 < step < 0.05, "two rows of 0.1 s, in which it goes 0.04 m"
 
 
 @pytest.mark.ros
-def test_rows_without_a_fresh_tool_are_not_learned_from(tmp_path):
-    one, _ = samples(seen_episode(tmp_path / "made", tool_until=0.3))
+@pytest.mark.parametrize("until", [{"tool_until": 0.3}, {"desired_until": 0.4}])
+def test_rows_without_a_fresh_tool_are_not_learned_from(tmp_path, until):
+    one, _ = samples(seen_episode(tmp_path / "made", **until))
     assert one.there[:4, 0].all() and not one.there[5:].any()
+
+
+@pytest.mark.ros
+def test_where_no_hand_led_nothing_is_learned(tmp_path):
+    from leap_rig.policy.ros import train_program
+
+    words = [str(seen_episode(tmp_path / "made", tool_until=0.0)), "--out", str(tmp_path / "made.pt")]
+    with pytest.raises(RecordingFault, match="No row of these recordings was led by a hand"):
+        train_program.train(train_program._parser().parse_args(words))
 
 
 @pytest.mark.ros
@@ -313,3 +331,26 @@ def test_a_policy_is_of_one_task_which_can_be_said_again(tmp_path, capsys):
     assert "from 3 episodes with 18 rows that a hand led" in capsys.readouterr().out
     with pytest.raises(RecordingFault, match="exists already"):
         train(one, "--out", str(out))
+
+
+@pytest.mark.ros
+def test_of_sessions_the_successes_are_learned_from_and_a_seed_makes_one_policy(tmp_path):
+    from leap_rig.policy.ros import train_program
+
+    for number, outcome in enumerate(("success", "failure", "success")):
+        folder = episode_folder(tmp_path / "cups", number)
+        folder.parent.mkdir(exist_ok=True)
+        write_label(seen_episode(folder, task=f"lift {number}"), EpisodeLabel(said=outcome))
+
+    def train(name, *words):
+        options = [str(tmp_path / "cups"), "--out", str(tmp_path / name), "--steps", "2", *words]
+        train_program.train(train_program._parser().parse_args(options))
+        return loaded((tmp_path / name).read_bytes())
+
+    with pytest.raises(RecordingFault, match="00002 shows 'lift 2', but .*00000 'lift 0'"):
+        train("mixed")
+    one, again, other = (train(f"{i}.pt", "--episodes", "1", "--seed", seed) for i, seed in enumerate("550"))
+    assert (one.about.task, one.about.episodes) == ("lift 0", 1)
+    heights, state = np.zeros((CELLS, CELLS), np.float32), np.ones(STATE, np.float32)
+    assert_allclose(one.act(heights, state), again.act(heights, state))
+    assert np.abs(one.act(heights, state) - other.act(heights, state)).max() > 1e-3

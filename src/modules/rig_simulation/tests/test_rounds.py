@@ -12,6 +12,7 @@ from common import clock
 from common.modes import Mode
 from rig_simulation.files import read_scene
 from rig_simulation.node_parameters import NEEDED, NEVER, ONCE
+from rig_simulation.operator.cup_scenes import cup_scene
 from rig_simulation.ros import rounds, scenarios
 from rig_simulation.ros.rounds import PolicyScenario
 
@@ -21,8 +22,9 @@ pytestmark = pytest.mark.ros
 class Cell:
     """An arm at home, the world with a cup, the operator's hand, and services."""
 
-    def __init__(self, lifts_after=float("inf")):
-        self.lifts_after, self.asked, self.called, self.told = lifts_after, [], [], []
+    def __init__(self, lifts_after=float("inf"), touched=True):
+        self.lifts_after, self.touched = lifts_after, touched
+        self.asked, self.called, self.told, self.scenes = [], [], [], []
         self.let_at = float("inf")
         self.grip, self.center_line, self.mode = np.array([0.4, 0.1, 0.3]), np.array([1.0, 0.0, 0.0]), Mode.HOME
         self.streams = self.following = False
@@ -40,8 +42,9 @@ class Cell:
         self.asked.append(what)
         if what == "scene":
             return {"scene": read_scene("cup")}
+        self.scenes += [more["scene"]] if "scene" in more else []
         lifted = clock.monotonic() - self.let_at > self.lifts_after
-        cup = {"position": [0.4, 0.1, 0.1], "clearance": 0.1 * lifted, "touches": ["reflex/pad"] * lifted}
+        cup = {"position": [0.4, 0.1, 0.1], "clearance": 0.1 * lifted, "touches": ["reflex/pad"] * self.touched}
         return {"objects": {"cup": cup}}
 
 
@@ -72,11 +75,12 @@ def test_a_policy_that_lifts_is_let_and_stopped_in_each_round_and_its_episodes_a
     assert lets(cell) == [[True], [False]] * 2
     step, failure, values = cell.told[-1]
     assert (step, failure, values["good"], values["taken"], values["rounds"]) == ("done", "", "2", "0", "2")
-    assert "show" not in cell.asked and cell.asked.count("set_scene") == 2
+    assert "show" not in cell.asked and len(cell.scenes) == 2
+    assert cell.scenes == [cup_scene(read_scene("cup"), seed) for seed in (0, 1)]
 
 
-def test_a_policy_that_does_not_lift_ends_the_round_as_a_failure(run):
-    cell = Cell()
+@pytest.mark.parametrize("cell", [Cell(), Cell(lifts_after=5.0, touched=False)])
+def test_a_policy_that_does_not_lift_by_the_hand_ends_the_round_as_a_failure(run, cell):
     assert 31.0 < run(cell, NEVER) < 33.0
     assert marks(cell) == ["episodes/begin", "episodes/failure"] and lets(cell) == [[True], [False]]
     assert cell.told[-1][2]["good"] == "0"
@@ -84,10 +88,17 @@ def test_a_policy_that_does_not_lift_ends_the_round_as_a_failure(run):
 
 @pytest.mark.parametrize("takes_over, after", [(ONCE, 2.5), (NEEDED, 11.0)])
 def test_an_operator_whom_the_arm_does_not_follow_gives_up(run, takes_over, after):
-    cell = Cell()
+    cell = Cell(lifts_after=12.0)
     assert 30.0 + after < run(cell, takes_over) < 35.0 + after
     assert cell.told[-1][2]["taken"] == "1" and marks(cell)[-1] == "episodes/failure"
     assert cell.asked.count("show") == 1
+
+
+def test_an_operator_takes_over_once_and_gives_back(run):
+    cell = Cell(lifts_after=15.0)
+    cell.streams = True
+    assert 15.0 < run(cell, ONCE) < 20.0
+    assert cell.told[-1][2]["taken"] == "1" and marks(cell)[-1] == "episodes/success"
 
 
 def test_a_round_that_is_interrupted_is_neither_good_nor_bad(run, virtual_graph, monkeypatch):

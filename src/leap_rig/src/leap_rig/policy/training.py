@@ -49,7 +49,7 @@ def samples(recording: Path, task: str = "") -> tuple[Samples, str]:
     known = (ages["observation.tool_pose"] >= 0.0) & (ages["observation.tool_pose"] <= FRESH_S)
     follows = rows["observation.teleoperation"][:, names["observation.teleoperation"].index("follows")] > 0.0
     age = ages["action.desired_tool"]
-    led = known & follows & (age >= 0.0) & (age <= FRESH_S)
+    led = follows & (age >= 0.0) & (age <= FRESH_S)
     T_tool, T_desired = (
         [_matrix(numbers) if good else np.eye(4) for numbers, good in zip(rows[key], there)]
         for key, there in (("observation.tool_pose", known), ("action.desired_tool", led))
