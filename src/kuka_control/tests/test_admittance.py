@@ -6,6 +6,8 @@ import collections
 import dataclasses
 import math
 import re
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,7 +19,10 @@ from test_robot_application import KNOWN, events, following
 
 from common import clock
 from common.errors import ConfigError
-from kuka_control.loop.commands import Observation
+from common.modes import Mode
+from kuka_control.loop.arm import ArmState
+from kuka_control.loop.commands import Inputs, Observation, Step, Wait
+from kuka_control.loop.controller import Controller
 from kuka_control.loop.giving_way import GivingWay
 from kuka_control.model.admittance import (
     Admittance,
@@ -211,26 +216,85 @@ def test_a_force_that_is_not_known_holds_the_tool_where_it_is(monkeypatch):
         assert is_back(touched(one, 4.0, NOTHING))
 
 
-def test_forces_with_gaps_hold_the_tool_for_a_while():
-    config, setup = rig(RealTimeConfig, admittance=True)
-    way, now, q = GivingWay(config.gives_way, setup.load), 0.0, setup.home.q
-    weight, _ = setup.load.wrench(q)
-    tool = setup.home.T_base_tool[:3, :3]
+class Pushed:
+    """A tool at home that gives way to forces, frame by frame."""
 
-    def after(seconds, force, ages):
-        nonlocal now
+    def __init__(self):
+        config, self.rig = rig(RealTimeConfig, admittance=True)
+        self.way, self.now = GivingWay(config.gives_way, self.rig.load), 0.0
+
+    def step(self, force, age=0.01, dt=0.01):
+        q, R = self.rig.home.q, self.rig.home.T_base_tool[:3, :3]
+        self.now += dt
+        force = self.rig.load.wrench(q)[0] + R.T @ force
+        return self.way.step(Observation(q, force=force, force_age=age), self.now)
+
+    def run(self, seconds, force, *ages):
         for step in range(round(seconds / 0.01)):
-            now += 0.01
-            given = way.step(Observation(q, force=weight + tool.T @ force, force_age=ages[step % len(ages)]), now)
+            given = self.step(force, ages[step % len(ages)])
         return given
 
-    assert not after(0.2, 0.0 * X, [0.01]).any() and way.why_not is None
-    far = after(1.0, 45.0 * X, [0.09])
+
+def test_what_was_felt_before_the_tool_follows_is_not_weighed():
+    one = Pushed()
+    one.step(45.0 * X, age=0.05)
+    assert one.run(1.0, 45.0 * X, 0.01)[0] == 0.0 and "does not give way: where it begins" in one.way.says
+    one.way.begin(one.now)
+    one.step(45.0 * X, age=0.05)
+    assert not one.run(0.2, 0.0 * X, 0.01).any() and one.way.says is None
+    assert one.run(0.5, 45.0 * X, 0.01)[0] > 0.01
+
+
+def test_after_a_stall_the_tool_goes_on_as_slowly():
+    one = Pushed()
+    before = one.run(0.2, 0.0 * X, 0.01)
+    after = one.step(500.0 * X, dt=1.0)
+    assert 0.001 < after[0] - before[0] <= 0.1 * 0.05 + 1e-9
+
+
+def test_a_force_is_as_old_as_its_question():
+    ages, q = [], np.zeros(7)
+    arm = SimpleNamespace(
+        **{"measured_joints": q, "silence": lambda: 0.0, "round_trip": 0.03, "abilities": frozenset(), "read": Mock()},
+        **{"reckoned": (False, 0.0), "carry": Mock(), "take_remarks": list, "state": ArmState(q)},
+    )
+
+    def step(seen, now):
+        ages.append(seen.force_age)
+        return Step(Wait(), Mode.HOME, "", ())
+
+    controller = Controller(arm, SimpleNamespace(step=step))
+    controller.cycle(Inputs(), 1.0)
+    arm.state = ArmState(q, force=X)
+    for now in (1.01, 1.1):
+        controller.cycle(Inputs(), now)
+    assert ages == [math.inf, pytest.approx(0.04), pytest.approx(0.13)]
+
+
+def test_each_stay_begins_where_the_hand_wants_the_tool_and_weighs_anew():
+    with loop() as one:
+        touched(holding(one), 1.0, PUSH)
+        assert one.loop._yielded[0] > 0.005 and GIVES_WAY in one.said
+        one.robot.set_tool_force(one.robot.tool[:3, :3].T @ (10.0 * X))
+        one.wanted = shifted(0.0, 0.1, 0.0)
+        _, said = events(one, 0.5)
+        assert any("The desired tool frame jumped" in text for text in said)
+        one.run(clock.monotonic() + 20.0, "servo")
+        _, said = events(one, 0.3)
+        assert any("The tool does not give way: where it begins" in text for text in said)
+        assert not one.loop._yielded.any()
+
+
+def test_forces_with_gaps_hold_the_tool_for_a_while():
+    one = Pushed()
+    way, after = one.way, one.run
+    assert not after(0.2, 0.0 * X, 0.01).any() and way.why_not is None
+    far = after(1.0, 45.0 * X, 0.09)
     assert far[0] > 0.01 and way.says == GIVES_WAY
-    held = after(1.0, 45.0 * X, [0.09, 0.09, 0.09, 0.11])
+    held = after(1.0, 45.0 * X, 0.09, 0.09, 0.09, 0.11)
     assert held[0] < far[0] + 1e-3 and way.says == UNKNOWN
-    assert after(0.25, 45.0 * X, [0.09])[0] == held[0]
-    assert after(0.5, 45.0 * X, [0.09])[0] > held[0] + 1e-3 and way.says == GIVES_WAY
+    assert after(0.25, 45.0 * X, 0.09)[0] == held[0]
+    assert after(0.5, 45.0 * X, 0.09)[0] > held[0] + 1e-3 and way.says == GIVES_WAY
 
 
 def test_a_push_makes_no_desired_frame_infeasible():
@@ -296,6 +360,15 @@ def test_what_it_cannot_be_used_with_is_refused(changes, sentence):
         rig(RealTimeConfig, admittance=True, **changes)
     if "admittance_damping" in changes and changes["admittance_damping"] > 50.0:
         rig(RealTimeConfig, **changes)
+
+
+def test_it_keeps_the_arm_stiff_as_does_a_mass_that_is_not_known():
+    for changes, why in (
+        ({"admittance": True}, "admittance is true"),
+        ({"tool_mass": 0.0}, "tool_mass is 0, and the arm would sink"),
+        ({}, None),
+    ):
+        assert rig(RealTimeConfig, **changes)[0].stiff_because == why
 
 
 def test_a_refusal_for_stability_names_what_would_do():

@@ -124,6 +124,16 @@ class ControllerConfig(RobotAddress):
     rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joint_states are published")
     rate_state: float = number("Hz", low=1.0, high=100.0, doc="how often torques, force, pose and flags are published")
 
+    @property
+    def unguided(self) -> str | None:
+        """Why no hand can guide the arm, a part of a sentence."""
+        return None if self.tool_mass > 0.0 else "tool_mass is 0, and the arm would sink"
+
+    @property
+    def stiff_because(self) -> str | None:
+        """Why servo modes cannot begin soft, a part of a sentence."""
+        return self.unguided
+
     def faults(self) -> list[str]:
         """Returns the faults that no single parameter can show, one sentence each."""
         return super().faults() + self.faults_among(vars(self))
@@ -209,6 +219,10 @@ class RealTimeConfig(ControllerConfig):
         elif read.get("compliance") == "soft" and read.get("tool_mass") == 0.0:
             faults.append("compliance is soft, but tool_mass is 0: a soft arm would sink; say what is on the flange.")
         return faults + (_admittance_faults(read) if read.get("admittance") else [])
+
+    @property
+    def stiff_because(self) -> str | None:
+        return "admittance is true" if self.admittance else super().stiff_because
 
     @property
     def gives_way(self) -> AdmittanceSettings | None:

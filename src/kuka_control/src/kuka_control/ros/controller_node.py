@@ -240,9 +240,7 @@ class _Node:
         self._controller = Controller(link.arm, self._loop)
         stops = config.robot_server == "leap_rig"
         softens = stops and isinstance(config, RealTimeConfig)
-        unknown = None if config.tool_mass > 0.0 else "tool_mass is 0, and the arm would sink"
-        stiff = "admittance is true" if getattr(config, "admittance", False) else unknown
-        self._switches = Switches(getattr(config, "compliance", "stiff") == "soft", stiff)
+        self._switches = Switches(getattr(config, "compliance", "stiff") == "soft", config.stiff_because)
         self._rest_period = min(1.0 / config.rate_joints, LONGEST_PERIOD_S)
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
         self._state = StatePublisher(rig, config, link.goals, frames)
@@ -254,7 +252,7 @@ class _Node:
         self._step: Step | None = None
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
         planner = assembly.move_planner(config, rig, named_configurations(named, rig.model))
-        guide = {"unguided": unknown} if stops else {}
+        guide = {"unguided": config.unguided} if stops else {}
         self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames, stops, **guide)
         guides = self._guide if stops else None
         self._services = Services(self._switches, lambda: self._link.stop(), stops, softens, guides)
