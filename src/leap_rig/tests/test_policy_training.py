@@ -92,7 +92,9 @@ def test_the_map_shows_the_highest_points_between_its_bounds():
     T = tool()
     x, y = T[:2, 3]
     heights = [0.2, 0.25, 0.3 + ABOVE_M + 0.01, 0.3 - BELOW_M - 0.01]
-    points = [[x + 0.002, y + 0.002, z] for z in heights] + [[x + CELLS * CELL_M, y, 0.2], [x, y - 1.0, 0.2]]
+    points = [[x + 0.002, y + 0.002, z] for z in heights] + [
+        [x + dx, y + dy, 0.2] for dx, dy in np.kron(0.27 * np.eye(2), [[1.0], [-1.0]])
+    ]
     seen = height_map(np.array(points), T)
     assert_allclose(seen.max(), -0.05, atol=1e-6)
     assert (seen > -BELOW_M).sum() == 1

@@ -14,7 +14,7 @@ from common.rotations import rotation_about
 
 CELLS, CELL_M = 52, 0.01  # of the map, to each side
 ABOVE_M, BELOW_M = 0.02, 0.4  # of the tool point: what the map shows; a cell without a point is at the bottom
-NOTHING_M = 0.001 - BELOW_M  # and nothing is seen below this
+NOTHING_M = 0.001 - BELOW_M  # what is not above this is nothing
 STRIDE = 2  # of the pixels that are looked at
 NEAR_M, FAR_M = 0.3, 2.0  # of depths that count
 FINGERS, TOUCH = 4, 3  # motors, and fingers that feel
@@ -53,7 +53,7 @@ def height_map(points: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray:
     level = level_frame(T_base_tool)
     x, y, z = ((points - level[:3, 3]) @ level[:3, :3]).T
     row, column = (np.floor(part / CELL_M).astype(int) + CELLS // 2 for part in (x, y))
-    shown = (row >= 0) & (row < CELLS) & (column >= 0) & (column < CELLS) & (z < ABOVE_M) & (z > NOTHING_M)
+    shown = (row >= 0) & (row < CELLS) & (column >= 0) & (column < CELLS) & (z < ABOVE_M)
     heights = np.full((CELLS, CELLS), -BELOW_M)
     np.maximum.at(heights, (row[shown], column[shown]), z[shown])
     return heights.astype(np.float32)
