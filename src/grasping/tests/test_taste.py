@@ -161,6 +161,12 @@ def test_of_equally_safe_grasps_the_operators_own_is_taken_and_the_safest_ones_c
     behind = len(offered.safest.probability)
     np.testing.assert_array_equal(found.of.T[-behind:], offered.safest.of.T)
     assert found.rank[0] == 1.0 > found.rank[1] and found.rank[:-behind].min() >= found.rank[-behind:].max()
+    np.testing.assert_allclose(found.rank[-behind:], found.rank[:-behind].min() * offered.safest.rank)
+    chosen = np.exp(expected(known, offered.options))
+    other = int(np.argsort(-chosen)[5])
+    (at,) = np.flatnonzero((found.of.T[:-behind] == wanted.T[other]).all(axis=(1, 2)))
+    assert chosen[other] < chosen[best] - 0.05
+    assert found.rank[at] == pytest.approx(np.exp(chosen[other] - chosen[best]), abs=1e-6)
 
 
 def test_a_few_lines_that_have_nothing_to_do_with_the_option_do_not_teach_the_hand(lessons):

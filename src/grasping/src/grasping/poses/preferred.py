@@ -14,7 +14,7 @@ import numpy as np
 
 from grasping.network.maps import half_turn
 from grasping.poses.chooser import ImageMaps, ScoredPoses, choose, lift_probabilities
-from grasping.poses.hypotheses import MAX_TILT_RAD, Hypotheses, joined, turned, upright, varied
+from grasping.poses.hypotheses import MAX_TILT_RAD, MIN_OPENING_M, Hypotheses, joined, turned, upright, varied
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.logit import softmax
 from grasping.poses.taste import Options, PoseTaste, options, poses, styled, worths
@@ -78,7 +78,7 @@ def preferred(
     away = distances(others.T[:, None], part.T, taste)
     tried, score = joined(tried, others), np.append(score, (appeal - 0.5 * away**2).max(axis=1))
     lifts = lift_probabilities(network, of, tried)
-    worth = lifts + WORTH * np.exp(np.minimum(score, 0.0))
+    worth = lifts + WORTH * np.exp(score)
     lead = np.zeros(len(worth))
     if before is not None:
         lead[-len(before.T) :] = KEPT
@@ -123,7 +123,7 @@ def _near(points: np.ndarray, angles: np.ndarray, others: np.ndarray, their_angl
 def wanted_poses(taste: PoseTaste, given: Options, of: ImageMaps, most_open: float, max_tilt: float) -> Hypotheses:
     """Returns the grasps that the operator would take at the options, without the constant miss."""
     tilt, turn, deep, wider = styled(taste.style, given.of)
-    opening = np.clip(given.of.openings + wider, 0.01, most_open)
+    opening = np.clip(given.of.openings + wider, MIN_OPENING_M, most_open)
     found = poses(given.of, tilt, turn - taste.style.line[0], deep, opening, of)
     found.T[:, :3, :3] = upright(found.T[:, :3, :3], given.of.frame, max_tilt)
     return found

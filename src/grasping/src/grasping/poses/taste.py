@@ -17,7 +17,7 @@ from grasping.network.maps import half_turn
 from grasping.poses.candidates import LENGTH_M, TASTES, Candidates, candidates
 from grasping.poses.chooser import ImageMaps
 from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import Hypotheses, level_rotation, rotations
+from grasping.poses.hypotheses import MIN_OPENING_M, Hypotheses, level_rotation, rotations
 from grasping.poses.lift_network import LiftNetwork, lift_logits
 from grasping.poses.logit import maximised, ridge, softmax
 
@@ -102,7 +102,9 @@ def options(network: LiftNetwork, of: ImageMaps, most_open: float) -> Options:
     n = len(found.peaks)
     if not n:
         return Options(found, np.zeros((0, len(SD))), np.zeros(0))
-    upright = poses(found, np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.clip(found.openings, 0.01, most_open), of)
+    upright = poses(
+        found, np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.clip(found.openings, MIN_OPENING_M, most_open), of
+    )
     logits = lift_logits(network, features(upright, of.image, of.camera, found.frame, network.gripper))
     logits = np.clip(logits, -LARGEST_LOGIT, LARGEST_LOGIT)
     seen = np.column_stack([found.tastes, logits / LARGEST_LOGIT])
