@@ -12,9 +12,10 @@ from test_poses import DOWN, OPEN_M, bar_image
 from common.poses import pose
 from grasping.lab.evaluation.grasp_distance import miss
 from grasping.network.maps import half_turn
-from grasping.poses import logit, taste
+from grasping.poses import chooser, logit, taste
+from grasping.poses import preferred as preferred_module
 from grasping.poses.candidates import LENGTH_M
-from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
+from grasping.poses.chooser import ImageMaps, ScoredPoses, choose, tilts
 from grasping.poses.hypotheses import MAX_TILT_RAD, level_rotation, rotations
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.preferred import MOST_LOST, SAFE, expected, offer, preferred, wanted_poses
@@ -98,6 +99,16 @@ def test_no_taste_costs_more_than_a_point_of_lifts(seed):
     wild = nobody()._replace(weights=rng.normal(0.0, 20.0, len(nobody().weights)), style=style)
     found = grasps(judge, of, wild)
     assert found.probability[0] >= min(SAFE, choose(judge, of, OPEN_M).probability[0] - MOST_LOST)
+
+
+def test_who_grasps_from_above_may_do_so_beside_tilted_grasps_that_are_believed_in_more(monkeypatch):
+    of, known = bar_image(turned=0.5), nobody()._replace(weights=np.ones(len(nobody().weights)))
+    told = lambda _network, of, tried: 0.9 + 0.05 * tilts(tried, of.frame)  # noqa: E731
+    for module in (chooser, preferred_module):
+        monkeypatch.setattr(module, "lift_probabilities", told)
+    assert tilts(choose(SURE, of, OPEN_M).of, of.frame)[0] < 0.05
+    found = grasps(SURE, of, known)
+    assert found.rank[0] == 1.0 and tilts(found.of, of.frame)[0] < 0.2, "the favourite"
 
 
 def test_one_grasp_all_alike_or_contradictory_ones_leave_a_taste_that_is_finite_and_mild(lessons):

@@ -73,7 +73,8 @@ def preferred(
     near = of.hypotheses(*varied(part, each, np.random.default_rng(0), most_open, of.frame, max_tilt, scale))
     away = distances(np.repeat(part.T, each, axis=0), near.T, taste)
     tried, score = joined(part, near), np.concatenate([appeal, np.repeat(appeal, each) - 0.5 * away**2])
-    others = safest.of.part(np.array([np.argmax(safest.rank)]))  # the first may be one of the image before
+    first = int(np.argmax(safest.rank))  # of the image; in front of it may be those of the image before
+    others = safest.of.part(np.array([first]))
     others = others if before is None else joined(others, before)
     away = distances(others.T[:, None], part.T, taste)
     tried, score = joined(tried, others), np.append(score, (appeal - 0.5 * away**2).max(axis=1))
@@ -82,7 +83,7 @@ def preferred(
     lead = np.zeros(len(worth))
     if before is not None:
         lead[-len(before.T) :] = KEPT
-    allowed = lifts >= min(SAFE, safest.probability.max() - MOST_LOST)
+    allowed = lifts >= min(SAFE, safest.probability[first] - MOST_LOST)
     order = np.argsort(-(worth + lead), kind="stable")
     order = order[allowed[order]]
     if not len(order):
