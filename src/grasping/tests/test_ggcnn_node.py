@@ -333,7 +333,7 @@ def test_a_network_of_lifts_is_taken_where_its_file_fits(tmp_path):
     [
         ({"hand": PARALLEL}, "was made for the hand parallel and the GG-CNN abab.*, not for reflex and abab"),
         ({"ggcnn": "cd" * 32}, "was made for the hand reflex and the GG-CNN cdcd.*, not for reflex and abab"),
-        ({"features": 3}, "with 3 features"),
+        ({"features": 3}, "its features is 3, not "),
         (None, "cannot be read: No such file"),
     ],
 )

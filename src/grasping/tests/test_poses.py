@@ -270,7 +270,7 @@ def test_a_tilted_grasp_is_chosen_where_it_lifts_more_than_tilting_costs(monkeyp
     told = lambda _network, of, tried: 0.3 + gain * tilts(tried, of.frame)  # noqa: E731
     monkeypatch.setattr(chooser, "lift_probabilities", told)
     found = choose(LiftNetwork().eval(), of, OPEN_M)
-    assert (tilts(found.of, of.frame)[0] > 0.7) == tilted
+    assert (tilts(found.of, of.frame)[0] > 0.4) == tilted
 
 
 def test_a_bare_table_offers_nothing():

@@ -13,7 +13,7 @@ from grasping.network.depth_image import NetworkImage
 from grasping.network.maps import Maps, Smoothing, smoothed
 from grasping.poses.candidates import LevelFrame, image_rays, level_frame
 from grasping.poses.hand_view import features
-from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, hypotheses, joined, said_of, varied
+from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, TURNS, Hypotheses, hypotheses, joined, said_of, varied
 from grasping.poses.lift_network import LiftNetwork, lift_logits
 
 SMOOTHING = Smoothing(quality=2.0)
@@ -71,7 +71,8 @@ def choose(
     rng = np.random.default_rng(0)
     for _ in range(rounds):
         best = found.part(np.argsort(-_ranks(probability, found, of.frame), kind="stable")[:elite])
-        near = of.hypotheses(*varied(best, each, rng, most_open, of.frame, max_tilt))
+        no_further = np.minimum(np.repeat(tilts(best, of.frame), each) + ABOVE_RAD, max_tilt)
+        near = of.hypotheses(*varied(best, each, rng, most_open, of.frame, no_further))
         found = joined(found, near)
         probability = np.concatenate([probability, lift_probabilities(network, of, near)])
     lead = np.zeros(len(probability))
