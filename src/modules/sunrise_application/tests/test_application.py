@@ -213,8 +213,7 @@ def test_a_dead_client_leaves_a_server_that_takes_the_next(serve, mode):
 def test_a_client_that_reads_nothing_is_closed(serve):
     server = serve()
     client = server.connect()
-    client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    with pytest.raises(OSError):
+    with pytest.raises((ConnectionResetError, BrokenPipeError)):
         for _ in range(100_000):
             client.socket.sendall(b"getJointsPositions\n" * 100)
     assert server.served().ask("getPin3") == "1\n"
