@@ -31,7 +31,7 @@ from grasping.poses import chooser, hand_view, hypotheses
 from grasping.poses.candidates import image_rays, level_frame
 from grasping.poses.chooser import ImageMaps, choose, tilts
 from grasping.poses.gripper import GRIPPER, GRIPPERS, Gripper
-from grasping.poses.hypotheses import MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
+from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
 from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
 
 SIDE, TABLE_M, FOCAL = 300, 0.7, 570.0
@@ -267,10 +267,11 @@ def test_the_chosen_are_in_order_and_tilt_no_further_than_allowed():
 def test_a_tilted_grasp_is_chosen_where_it_lifts_more_than_tilting_costs(monkeypatch, gain, tilted):
     """`gain`: of the probability, by the radian."""
     of = bar_image()
-    told = lambda _network, of, tried: 0.3 + gain * tilts(tried, of.frame)  # noqa: E731
-    monkeypatch.setattr(chooser, "lift_probabilities", told)
-    found = choose(LiftNetwork().eval(), of, OPEN_M)
-    assert (tilts(found.of, of.frame)[0] > 0.4) == tilted
+    believed = lambda _network, of, tried: 0.3 + gain * tilts(tried, of.frame)  # noqa: E731
+    monkeypatch.setattr(chooser, "lift_probabilities", believed)
+    tilt = tilts(choose(LiftNetwork().eval(), of, OPEN_M).of, of.frame)
+    assert (tilt[0] > 0.4) == tilted
+    assert tilt.max() < 0.45 + 2.5 * ABOVE_RAD, "what is tried near a grasp tilts no further"
 
 
 def test_a_bare_table_offers_nothing():

@@ -103,9 +103,9 @@ def test_no_taste_costs_more_than_a_point_of_lifts(seed):
 
 def test_who_grasps_from_above_may_do_so_beside_tilted_grasps_that_are_believed_in_more(monkeypatch):
     of, known = bar_image(turned=0.5), nobody()._replace(weights=np.ones(len(nobody().weights)))
-    told = lambda _network, of, tried: 0.9 + 0.05 * tilts(tried, of.frame)  # noqa: E731
+    believed = lambda _network, of, tried: 0.9 + 0.05 * tilts(tried, of.frame)  # noqa: E731
     for module in (chooser, preferred_module):
-        monkeypatch.setattr(module, "lift_probabilities", told)
+        monkeypatch.setattr(module, "lift_probabilities", believed)
     assert tilts(choose(SURE, of, OPEN_M).of, of.frame)[0] < 0.05
     found = grasps(SURE, of, known)
     assert found.rank[0] == 1.0 and tilts(found.of, of.frame)[0] < 0.2, "the favourite"

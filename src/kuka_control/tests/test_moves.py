@@ -349,7 +349,7 @@ def test_of_two_motions_that_are_asked_for_at_once_one_is_refused(monkeypatch):
     server, handle = moves.MoveServer(Planner(), lambda: (step, HOME.q), stops=True, unguided=None), Handle()
     server._goal(handle)
     assert answers[0].success and server.guided, "the hand guides"
-    assert "has not ended" in handle.said, "the program is told"
+    assert "has not ended" in handle.said, "the refusal reaches the program"
 
 
 @pytest.mark.ros

@@ -1,4 +1,4 @@
-"""Rounds of a cup that stands elsewhere each time: what is marked, what the policy is told, and when a round ends."""
+"""Rounds of a cup that stands elsewhere each time: what is marked, when the policy may steer, and when a round ends."""
 
 from types import SimpleNamespace
 

@@ -603,7 +603,7 @@ final class Session {
         mode = Mode.MOTION;
         words.clear();
         kept = null;
-        keeps = guarded && !hello; // who said hello was told no, or is to ask again
+        keeps = guarded && !hello; // who said hello gets a refusal, or asks again
         motion = made;
         motion.contact = hello ? contact : null;
         ending = request.stops != stops ? "the client" : null;

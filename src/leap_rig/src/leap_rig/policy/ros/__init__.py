@@ -1,1 +1,1 @@
-"""The program run_policy.py."""
+"""The programs run_policy.py and train_policy.py."""
