@@ -29,7 +29,7 @@ from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import PARALLEL, REFLEX, Maps
 from grasping.poses import chooser, hand_view, hypotheses
 from grasping.poses.candidates import image_rays, level_frame
-from grasping.poses.chooser import ImageMaps, choose, tilts
+from grasping.poses.chooser import SAFE, ImageMaps, choose, tilts
 from grasping.poses.gripper import GRIPPER, GRIPPERS, Gripper
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
 from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
@@ -263,15 +263,20 @@ def test_the_chosen_are_in_order_and_tilt_no_further_than_allowed():
     np.testing.assert_array_equal(again.probability, found.probability)
 
 
-@pytest.mark.parametrize(("gain", "tilted"), [(0.0, False), (0.05, False), (0.5, True)])
-def test_a_tilted_grasp_is_chosen_where_it_lifts_more_than_tilting_costs(monkeypatch, gain, tilted):
-    """`gain`: of the probability, by the radian."""
+@pytest.mark.parametrize(
+    ("lifts", "gain", "tilted"),
+    [(0.3, 0.0, False), (0.3, 0.05, False), (0.3, 0.5, True), (SAFE - 0.02, 0.5, True), (SAFE, 0.5, False)],
+)
+def test_a_tilted_grasp_is_chosen_where_none_is_sure_and_it_lifts_more_than_tilting_costs(
+    monkeypatch, lifts, gain, tilted
+):
+    """`lifts`: probability from above; `gain`: of it, by the radian."""
     of = bar_image()
-    believed = lambda _network, of, tried: 0.3 + gain * tilts(tried, of.frame)  # noqa: E731
+    believed = lambda _network, of, tried: np.minimum(lifts + gain * tilts(tried, of.frame), 1.0)  # noqa: E731
     monkeypatch.setattr(chooser, "lift_probabilities", believed)
     tilt = tilts(choose(LiftNetwork().eval(), of, OPEN_M).of, of.frame)
-    assert (tilt[0] > 0.4) == tilted
-    assert tilt.max() < 0.45 + 2.5 * ABOVE_RAD, "what is tried near a grasp tilts no further"
+    assert (tilt[0] > ABOVE_RAD + 0.01) == tilted
+    assert (tilt.max() > 0.4) == (lifts < SAFE)
 
 
 def test_a_bare_table_offers_nothing():

@@ -16,11 +16,11 @@ from grasping.network.networks import infer
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult
 from grasping.pipeline.settings import overlaid, settings_from
 from grasping.poses.candidates import TASTES
-from grasping.poses.chooser import ImageMaps
+from grasping.poses.chooser import SAFE, ImageMaps
 from grasping.poses.hand_view import SCALARS
 from grasping.poses.hypotheses import turned
 from grasping.poses.lift_network import LiftNetwork
-from grasping.poses.preferred import MOST_LOST, SAFE, offer, preferred, uncertainty
+from grasping.poses.preferred import MOST_LOST, offer, preferred, uncertainty
 from grasping.poses.taste import PoseTaste, nobody
 
 MANY = {"peaks": {"threshold": 0.0, "count": 50}}

@@ -15,10 +15,10 @@ from grasping.network.maps import half_turn
 from grasping.poses import chooser, logit, taste
 from grasping.poses import preferred as preferred_module
 from grasping.poses.candidates import LENGTH_M
-from grasping.poses.chooser import ImageMaps, ScoredPoses, choose, tilts
+from grasping.poses.chooser import SAFE, ImageMaps, ScoredPoses, choose, tilts
 from grasping.poses.hypotheses import MAX_TILT_RAD, level_rotation, rotations
 from grasping.poses.lift_network import LiftNetwork
-from grasping.poses.preferred import MOST_LOST, SAFE, expected, offer, preferred, wanted_poses
+from grasping.poses.preferred import MOST_LOST, expected, offer, preferred, wanted_poses
 from grasping.poses.taste import PoseTaste, Shown, learned, nobody, options
 
 TURNS = np.linspace(-1.2, 1.2, 8)

@@ -1,4 +1,5 @@
-"""Chooses grasps of an image: scores all hypotheses, and those near the best ones."""
+"""Chooses grasps of an image: scores all hypotheses, and those near the best ones; tilted ones only where no grasp from
+straight above is sure, since of a thousand that are tilted some are overrated."""
 
 from __future__ import annotations
 
@@ -18,6 +19,7 @@ from grasping.poses.lift_network import LiftNetwork, lift_logits
 
 SMOOTHING = Smoothing(quality=2.0)
 """Of the maps: a wider blur would take the grasps on slender parts for bad."""
+SAFE = 0.97  # probability of a lift that is enough
 TILT_COST = 0.1  # probability by which a tilted grasp must lead one from straight above, by the radian
 STAYS = 0.05  # rank by which a new grasp must lead one of the image before
 
@@ -60,34 +62,40 @@ def choose(
     max_tilt: float = MAX_TILT_RAD,
     before: Hypotheses | None = None,
 ) -> ScoredPoses:
-    """Returns the hypotheses of an image up to a tilt [rad], with the probability that each one lifts; `most_open`:
-    what the hand opens at most [m]; `before`: what was chosen in the image before. Empty where nothing stands on the
-    table."""
-    elite, each, rounds = 16, 8, 2
-    found = hypotheses(of.maps, of.certainty, of.image, of.camera, of.frame, most_open, TURNS, max_tilt)
-    if not len(found.T):
-        return ScoredPoses(found, np.zeros(0), np.zeros(0))
-    probability = lift_probabilities(network, of, found)
-    rng = np.random.default_rng(0)
-    for _ in range(rounds):
-        best = found.part(np.argsort(-_ranks(probability, found, of.frame), kind="stable")[:elite])
-        no_further = np.minimum(np.repeat(tilts(best, of.frame), each) + ABOVE_RAD, max_tilt)
-        near = of.hypotheses(*varied(best, each, rng, most_open, of.frame, no_further))
-        found = joined(found, near)
-        probability = np.concatenate([probability, lift_probabilities(network, of, near)])
+    """Returns the grasps of an image, the best first, and the probability that each one lifts: those from straight
+    above, and where none of them lifts with `SAFE` those tilted by up to `max_tilt` [rad], too; `most_open`: what the
+    hand opens at most [m]; `before`: what was chosen in the image before. Empty where nothing stands on the table."""
+    found, probability = search(network, of, most_open, min(ABOVE_RAD, max_tilt))
+    if not len(probability):
+        return ScoredPoses(found, probability, probability)
+    if probability.max() < SAFE and max_tilt > ABOVE_RAD:
+        tilted, lifts = search(network, of, most_open, max_tilt)
+        found, probability = joined(found, tilted), np.concatenate([probability, lifts])
     lead = np.zeros(len(probability))
     if before is not None:
         found = joined(found, before)
         probability = np.concatenate([probability, lift_probabilities(network, of, before)])
         lead = np.append(lead, np.full(len(before.T), STAYS))
-    rank = _ranks(probability, found, of.frame)
+    rank = np.maximum(probability - TILT_COST * np.maximum(tilts(found, of.frame) - ABOVE_RAD, 0.0), 0.0)
     order = np.argsort(-(rank + lead), kind="stable")
     return ScoredPoses(found.part(order), probability[order], rank[order])
 
 
-def _ranks(probability: np.ndarray, of: Hypotheses, frame: LevelFrame) -> np.ndarray:
-    """Returns the probabilities less what the tilts cost: of a thousand grasps that are tilted some are overrated."""
-    return np.maximum(probability - TILT_COST * tilts(of, frame), 0.0)
+def search(network: LiftNetwork, of: ImageMaps, most_open: float, max_tilt: float) -> tuple[Hypotheses, np.ndarray]:
+    """Returns the hypotheses up to a tilt [rad] and those tried near the best ones, in no order, and the probability
+    that each one lifts, shape (n,)."""
+    elite, each, rounds = 16, 8, 2
+    found = hypotheses(of.maps, of.certainty, of.image, of.camera, of.frame, most_open, TURNS, max_tilt)
+    if not len(found.T):
+        return found, np.zeros(0)
+    probability = lift_probabilities(network, of, found)
+    rng = np.random.default_rng(0)
+    for _ in range(rounds):
+        best = found.part(np.argsort(-probability, kind="stable")[:elite])
+        near = of.hypotheses(*varied(best, each, rng, most_open, of.frame, max_tilt))
+        found = joined(found, near)
+        probability = np.concatenate([probability, lift_probabilities(network, of, near)])
+    return found, probability
 
 
 def lift_probabilities(network: LiftNetwork, of: ImageMaps, tried: Hypotheses) -> np.ndarray:

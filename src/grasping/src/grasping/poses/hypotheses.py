@@ -174,7 +174,7 @@ def varied(
     rng: np.random.Generator,
     most_open: float,
     frame: LevelFrame,
-    max_tilt: float | np.ndarray = MAX_TILT_RAD,
+    max_tilt: float = MAX_TILT_RAD,
     scale: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns poses and openings near those of hypotheses, `each` of them for each one, in the hypotheses' order;
@@ -188,9 +188,9 @@ def varied(
     return T, opening
 
 
-def upright(R: np.ndarray, frame: LevelFrame, max_tilt: float | np.ndarray) -> np.ndarray:
+def upright(R: np.ndarray, frame: LevelFrame, max_tilt: float) -> np.ndarray:
     """Returns orientations of hands before the camera, shape (n, 3, 3), turned as little as it takes until no approach
-    is further than `max_tilt` [rad], one or each its own, from straight down."""
+    is further than `max_tilt` [rad] from straight down."""
     down, approach = frame.R[:, 2], R[:, :, 2]
     tilt = np.arccos(np.clip(approach @ down, -1.0, 1.0))
     axis = np.cross(approach, down)

@@ -13,13 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from grasping.network.maps import half_turn
-from grasping.poses.chooser import ImageMaps, ScoredPoses, choose, lift_probabilities
+from grasping.poses.chooser import SAFE, ImageMaps, ScoredPoses, choose, lift_probabilities
 from grasping.poses.hypotheses import MAX_TILT_RAD, MIN_OPENING_M, Hypotheses, joined, turned, upright, varied
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.logit import softmax
 from grasping.poses.taste import Options, PoseTaste, options, poses, styled, worths
 
-SAFE = 0.97  # probability of a lift that is enough
 MOST_LOST = 0.01  # where the safest grasp has less, another one may have as much less [probability]
 WORTH = 0.1  # of the operator's choice, in lifts
 KEPT = 0.02  # by which what a new grasp is worth must lead that of one of the image before [lifts]

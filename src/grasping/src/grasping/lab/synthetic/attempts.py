@@ -17,7 +17,7 @@ from grasping.lab.synthetic.samples import SPLITS, SceneView, view
 from grasping.lab.synthetic.scene import HeapScene
 from grasping.network.depth_image import NetworkImage, prepare
 from grasping.network.networks import MapNetwork, infer
-from grasping.poses.chooser import ImageMaps, choose
+from grasping.poses.chooser import ImageMaps, search
 from grasping.poses.gripper import Gripper
 from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, Turn, hypotheses, joined, varied
 from grasping.poses.lift_network import LiftNetwork
@@ -73,7 +73,8 @@ def _believed(rng: np.random.Generator, of: ImageMaps, most: int, lifts: LiftNet
     """Returns grasps that a network of lifts ranks first, and some behind these: what training on others' grasps
     overrates."""
     mean_rank = 40.0
-    ranked = choose(lifts, of, gripper.opening).of
+    found, probability = search(lifts, of, gripper.opening, MAX_TILT_RAD)
+    ranked = found.part(np.argsort(-probability, kind="stable"))
     behind = rng.exponential(mean_rank, most - 1).astype(int)
     return ranked.part(np.unique([0, *np.minimum(behind, len(ranked.T) - 1)])) if len(ranked.T) else ranked
 
