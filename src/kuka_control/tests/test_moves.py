@@ -340,15 +340,14 @@ def test_of_two_motions_that_are_asked_for_at_once_one_is_refused(monkeypatch):
 
     class Planner:
         def plan(self, number, goal, q):
-            answers.append(server.guide(True))  # while the path of the other is planned
+            server._ask(server._guided(*server._begin(True)))  # while the path of the other is planned
             return ProgramMotion(number, "aside", q, 0.1)
 
-    answers = []
     monkeypatch.setattr(moves.actionlib, "ActionServer", lambda *_, **__: SimpleNamespace(start=lambda: None))
-    step = SimpleNamespace(mode=Mode.HOME, reason="")
+    step = SimpleNamespace(mode=Mode.HOME, reason="", move=None)
     server, handle = moves.MoveServer(Planner(), lambda: (step, HOME.q), stops=True, unguided=None), Handle()
     server._goal(handle)
-    assert answers[0].success and server.guided, "the hand guides"
+    assert server.move.guided and not server.guided, "the hand guides as soon as the control loop has begun that"
     assert "has not ended" in handle.said, "the refusal reaches the program"
 
 

@@ -19,13 +19,15 @@ from std_msgs.msg import String
 
 from common.ros.conversions import stamped_pose
 from kuka_msgs.msg import MoveAction, MoveGoal, jointTorquesExternal
+from rig_msgs.msg import KukaStatus
 
 pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
-def robot(ros):
-    return run_robot(ros, ros.wait_until, "--port", "0", "--control-port", "0", "--tool-weight")
+def robot(ros, request):
+    server = ("--robot-server", getattr(request, "param", "toolbox"))
+    return run_robot(ros, ros.wait_until, "--port", "0", "--control-port", "0", "--tool-weight", *server)
 
 
 @pytest.fixture
@@ -135,6 +137,64 @@ def test_a_line_with_its_feedback_a_cancelled_one_and_home_as_control_goes_off(r
     assert node.control(False).success
     node.wait_for_mode("home")
     np.testing.assert_allclose(robot.joints, start, atol=2e-3)
+
+
+GUIDABLE = {"robot_server": "leap_rig", "tool_mass": 1.12}
+
+
+@pytest.mark.parametrize(("robot", "node"), [("leap_rig", GUIDABLE)], indirect=True)
+def test_hand_guiding_begins_or_is_refused_by_the_reason(ros, robot, node, client):
+    status = ros.record("kuka/status", KukaStatus)
+
+    def guide(on=True):
+        return node.call("guide", "setKukaControl", on)
+
+    def refused(why):
+        answer = guide()
+        assert not answer.success and why in answer.message
+        assert not any(each.guided for each in status), "no panel shows that a hand may guide the arm"
+
+    refused("Control is off; a hand may guide the arm only while the operator has switched it on.")
+    hand = Hand(shifted(home_tool(), 0.0, 0.3, 0.0))  # too far to be taken over
+    clock.sleep(1.0)
+    assert node.control(True).success
+    refused("The desired tool frame comes from a tracked hand or a node; end that before a hand may guide the arm.")
+    result = client.move(kind=MoveGoal.GUIDED)
+    assert not result.success and "end that before a hand may guide the arm" in result.message
+    hand.hide()
+    clock.sleep(2.0)
+    assert node.call("soft", "setKukaControl", True).success, "a soft arm can be guided"
+    assert guide().success
+    node.wait_for_mode("moving", timeout=0.1)
+    clock.sleep(0.5)
+    assert status[-1].guided and status[-1].soft
+    answer = guide()
+    assert not answer.success and "has not ended" in answer.message
+    assert not node.call("pause", "setKukaControl", True).success
+    assert guide(False).success
+    node.wait_for_mode("holding", timeout=2.0)
+    clock.sleep(0.5)
+    status.clear()
+
+    way = client.send(kind=MoveGoal.NAMED, name="zero", velocity=0.05)
+    node.wait_for_mode("moving", timeout=2.0)
+    refused("has not ended")
+    assert node.call("pause", "setKukaControl", True).success
+    clock.sleep(0.5)
+    assert status[-1].paused
+    refused("has not ended")
+    assert node.control(False).success
+    assert not client.result_of(way).success
+    node.wait_for_mode("stopped", timeout=0.1)
+    refused("A hand may guide the arm at home or where a program moved it, but the mode is stopped.")
+    node.control(True)
+    node.wait_for_mode("homing", timeout=1.0)
+    refused("but the mode is homing. Control was switched off and on again.")
+    node.wait_for_mode("home")
+    robot.ask("fault", name="refused")
+    answer = guide()
+    assert not answer.success and "The robot refused the hand guiding" in answer.message
+    node.wait_for_mode("stopped", timeout=0.1)
 
 
 def test_the_program_its_exit_codes_and_an_interrupt(ros, node):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -251,6 +252,30 @@ def test_a_stop_that_hangs_does_not_delay_the_end_of_the_controller(virtual_grap
     assert one._end_at_once(None)[0]
     ((seconds, code),) = ended
     assert seconds == pytest.approx(services.ANSWER_S, abs=0.01) and code == 2
+
+
+@pytest.mark.ros
+def test_a_wait_for_hand_guiding_delays_no_other_switch(virtual_graph, monkeypatch):
+    from kuka_control.model.switches import SwitchReply
+    from kuka_control.ros import services
+
+    switches, answers = Switches(), []
+
+    def guide(on):
+        clock.sleep(2.0)
+        return SwitchReply(on, "It begins.")
+
+    offered = {}
+    monkeypatch.setattr(services.rospy, "Service", lambda name, _, answer: offered.update({name: answer}))
+    one = services.Services(switches, guide=guide)
+    clock.Thread(target=lambda: answers.append(offered["kuka/guide"](SimpleNamespace(data=True))), daemon=True).start()
+    clock.sleep(0.1)
+    began = clock.monotonic()
+    assert offered["kuka/kuka_control"](SimpleNamespace(data=True))[0]
+    one.stop_motion("the enabling device was released")
+    assert clock.monotonic() - began < 0.1 and not answers
+    clock.sleep(2.0)
+    assert answers == [(True, "It begins.")]
 
 
 def test_a_released_enabling_device_stops_a_motion_and_control_stays_on():

@@ -108,7 +108,8 @@ def test_each_release_keeps_a_way_point_and_they_are_played_back(guided, monkeyp
     interrupted_after(monkeypatch, 3.5 * HELD_S)
     assert record() == 0 and arm.server.move is None
     np.testing.assert_allclose(stored(), HOME.q + np.outer(range(1, len(stored()) + 1), STEP), atol=1e-9)
-    assert len(stored()) == 3 and "3 way points are in " in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert len(stored()) == 3 and said.count("Hold the enabling switch") == 1 and "3 way points are in " in said
     with pytest.raises(RigError, match="wave.yaml exists"):
         record()
     arm.asked.clear()
@@ -130,11 +131,12 @@ def test_a_path_keeps_the_way_between(guided, monkeypatch):
     assert len(stored()) < 5, "the way was straight"
 
 
-def test_an_arm_that_cannot_be_guided_says_why_and_nothing_is_stored(guided, monkeypatch):
+def test_an_arm_that_cannot_be_guided_says_why_and_nothing_is_stored(guided, monkeypatch, capsys):
     guided()
     interrupted_after(monkeypatch, 10.0)
     with pytest.raises(RigError, match="No way point was kept. Hand guiding is refused: robot_server is toolbox"):
         record()
+    assert not capsys.readouterr().out, "nobody is told to move an arm that cannot be moved"
     assert not teach_program.user_file(teach_program.KIND, "wave").exists()
 
 
@@ -152,7 +154,7 @@ def test_a_controller_that_falls_silent_ends_the_recording_and_what_was_kept_is_
     assert "has reported nothing for 5 s" in capsys.readouterr().err
 
 
-def test_the_service_guides_and_ends_it_and_another_motion_waits(guided):
+def test_the_service_guides_and_ends_it_and_another_motion_waits(guided, monkeypatch):
     arm = guided(unguided=None)
     server = arm.server
     assert server.guide(True).success and server.guided
@@ -165,3 +167,8 @@ def test_the_service_guides_and_ends_it_and_another_motion_waits(guided):
     clock.sleep(0.1)
     refused = server.guide(True)
     assert not refused.success and "the mode is servo" in refused.message
+    arm.mode = Mode.HOME
+    clock.sleep(0.1)
+    monkeypatch.setattr(server, "show", lambda *_: clock.sleep(3600.0))
+    refused = server.guide(True)
+    assert not refused.success and "has done nothing for 2 s" in refused.message and server.move is None

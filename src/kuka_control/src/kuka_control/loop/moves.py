@@ -135,9 +135,16 @@ class MovePlanner:
                 )
 
 
-def wrong_time(mode: Mode, reason: str) -> str:
-    """Returns why no motion for a program can start in a mode that has this reason, two sentences."""
-    return f"A program may move the arm at home or where a program moved it, but the mode is {mode.value}. {reason}"
+def wrong_time(mode: Mode, reason: str, guided: bool) -> str:
+    """Returns why no motion for a program, or `guided` by a hand, can start in a mode that has this reason, two
+    sentences."""
+    who = mover(guided)
+    return f"{who.capitalize()} the arm at home or where a program moved it, but the mode is {mode.value}. {reason}"
+
+
+def mover(guided: bool) -> str:
+    """Returns who may do what with the arm, the begin of a part of a sentence."""
+    return "a hand may guide" if guided else "a program may move"
 
 
 def _lowest(kinematics: Kinematics, q: np.ndarray) -> tuple[float, str]:

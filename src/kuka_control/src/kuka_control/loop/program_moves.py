@@ -8,7 +8,7 @@ import numpy as np
 
 from common.modes import Mode
 from kuka_control.limits.line_plan import LinePlan
-from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
+from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, mover, wrong_time
 from kuka_control.loop.transitions import State, Trigger
 from kuka_control.numbers import LINE_START_RAD
 
@@ -88,7 +88,7 @@ class ProgramMoves:
         is to begin is still being checked."""
         asked = self._asked()
         if asked is not None and not (checks and asked is self.motion):
-            self.progress = MoveProgress(asked.number, MoveState.REFUSED, wrong_time(mode, reason))
+            self.progress = MoveProgress(asked.number, MoveState.REFUSED, wrong_time(mode, reason, asked.guided))
 
     def end(self, target: State, cause: Trigger | None, because: str) -> None:
         """The running motion ends by `cause` with a transition to `target`."""
@@ -115,9 +115,10 @@ class ProgramMoves:
         if move.cancelled:
             return "The motion was cancelled before it began."
         if not control_on:
-            return "Control is off; a program may move the arm only while the operator has switched it on."
+            return f"Control is off; {mover(move.guided)} the arm only while the operator has switched it on."
         if stream_runs:
-            return "The desired tool frame comes from a hand or a node; end that before a program moves the arm."
+            who = mover(move.guided)
+            return f"The desired tool frame comes from a tracked hand or a node; end that before {who} the arm."
         if move.line is None:
             return None
         if not self._lines:

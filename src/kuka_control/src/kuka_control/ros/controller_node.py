@@ -36,7 +36,7 @@ from kuka_control.loop.controller import Controller, ReconnectSupervisor
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.model.joint_configurations import named_configurations
 from kuka_control.model.rig import Rig
-from kuka_control.model.switches import Switches, SwitchReply
+from kuka_control.model.switches import Switches
 from kuka_control.model.target import MotionScaling
 from kuka_control.model.tool_load import wrench_at_tool
 from kuka_control.numbers import AGAIN_TIMEOUT_S, BRAKING_S, PROBE_S, TIMEOUT_S
@@ -254,7 +254,7 @@ class _Node:
         planner = assembly.move_planner(config, rig, named_configurations(named, rig.model))
         guide = {"unguided": config.unguided} if stops else {}
         self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames, stops, **guide)
-        guides = self._guide if stops else None
+        guides = self._moves.guide if stops else None
         self._services = Services(self._switches, lambda: self._link.stop(), stops, softens, guides)
         self._enabling = EnablingWatch(self._services.stop_motion) if stops else None
         master.watch.lost.append(lambda _: self._services.disengage())
@@ -365,11 +365,6 @@ class _Node:
     def _regained(self, supervisor: ReconnectSupervisor) -> None:
         self._say(supervisor.connected())
         self._services.release()
-
-    def _guide(self, on: bool) -> SwitchReply:
-        if on and not self._switches.now.control_on:
-            return SwitchReply(False, "Hand guiding is refused: control is off.")
-        return self._moves.guide(on)
 
     def _for_guard_view(self) -> tuple[np.ndarray | None, float]:
         return self._link.arm.state.joints, self._loop.guard_scale if self._controller.in_servo else 1.0

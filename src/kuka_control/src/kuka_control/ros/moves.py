@@ -20,6 +20,7 @@ from kuka_msgs.msg import MoveAction, MoveFeedback, MoveResult
 from kuka_msgs.msg import MoveGoal as MoveGoalMessage
 
 FEEDBACK_S = 0.1  # period of the feedback [s]
+REFUSAL_S = 0.15  # the robot refuses a motion within this time after its word [s]
 START_S = 1.0  # the control loop has this long to start or refuse a motion [s]
 
 
@@ -45,7 +46,9 @@ class MoveServer:
         self._lock = clock.Lock()
         self._handle: actionlib.ServerGoalHandle | None = None
         self._number = 0
+        self._verdict: clock.SimpleQueue[str | None] | None = None  # gets why it does not begin, or None
         self._due = self._asked = 0.0  # when the next feedback is due, and when the goal came [s]
+        self._sure = 0.0  # until when the robot may refuse what the control loop has begun [s]
         server = actionlib.ActionServer("kuka/move", MoveAction, self._goal, self._cancel, auto_start=False)
         server.start()
 
@@ -58,6 +61,9 @@ class MoveServer:
             if now - self._asked > START_S:
                 self.abort(f"The controller did not start the motion. {step.reason}")
         elif progress.state is MoveState.RUNNING:
+            self._sure = now + REFUSAL_S if step.transitions else self._sure
+            if now >= self._sure:
+                self._tell(None)
             if now >= self._due and handle is not None:
                 self._due = now + FEEDBACK_S
                 handle.publish_feedback(MoveFeedback(progress.fraction, progress.left, joints.tolist()))
@@ -72,17 +78,23 @@ class MoveServer:
     def _end(self, state: MoveState, sentence: str, joints: np.ndarray) -> None:
         with self._lock:
             handle, self._handle, self.move = self._handle, None, None
+        self._tell(None if state is MoveState.DONE else sentence)
         result = MoveResult(state is MoveState.DONE, sentence, joints.tolist())
         if handle is not None:
             ends = {MoveState.DONE: handle.set_succeeded, MoveState.CANCELLED: handle.set_canceled}
             ends.get(state, handle.set_aborted)(result, sentence)
         (rospy.loginfo if result.success else rospy.logwarn)("kuka/move: %s", sentence)
 
+    def _tell(self, refusal: str | None) -> None:
+        verdict, self._verdict = self._verdict, None
+        if verdict is not None:
+            verdict.put(refusal)
+
     def _goal(self, handle: actionlib.ServerGoalHandle) -> None:
         message, joints = handle.get_goal(), self._read()[1]
         try:
-            number, joints = self._begin()
             guided = message.kind == MoveGoalMessage.GUIDED
+            number, joints = self._begin(guided)
             goal = None if guided else _goal_of(message, self._base)
             move = self._guided(number, joints) if goal is None else self._planner.plan(number, goal, joints)
             self._ask(move, handle)
@@ -93,26 +105,34 @@ class MoveServer:
             rospy.logwarn("kuka/move: %s", sentence)
 
     def guide(self, on: bool) -> SwitchReply:
-        """Lets a hand guide the arm, or ends that."""
+        """Lets a hand guide the arm, or ends that; waits until the control loop and the robot have begun it."""
         move = self.move
         if not on:
             with self._lock:
                 if move is not None and move.guided and move is self.move:
                     self.move = replace(move, cancelled=True)
             return SwitchReply(True, "No hand guides the arm any more.")
+        verdict: clock.SimpleQueue[str | None] = clock.SimpleQueue()
         try:
-            self._ask(self._guided(*self._begin()))
+            self._ask(self._guided(*self._begin(True)), verdict=verdict)
+            refusal = verdict.get(timeout=2.0 * START_S)
         except MoveRefused as error:
-            return SwitchReply(False, str(error))
+            refusal = str(error)
+        except clock.Empty:
+            refusal = f"The controller has done nothing for {2.0 * START_S:g} s; the hand guiding is cancelled."
+            self.abort(refusal)
+        if refusal is not None:
+            return SwitchReply(False, refusal)
         return SwitchReply(True, "Hold the enabling switch and move the arm; its release ends that.")
 
     @property
     def guided(self) -> bool:
-        """Whether a hand may guide the arm, or is to."""
-        move = self.move
-        return move is not None and move.guided
+        """Whether a hand may guide the arm."""
+        move, step = self.move, self._read()[0]
+        progress = None if step is None else step.move
+        return move is not None and move.guided and progress is not None and progress.number == move.number
 
-    def _begin(self) -> tuple[int, np.ndarray]:
+    def _begin(self, guided: bool) -> tuple[int, np.ndarray]:
         """Returns the number of the next motion, and the joints of the arm; raises MoveRefused."""
         with self._lock:
             self._refuse_second()
@@ -120,16 +140,21 @@ class MoveServer:
             number = self._number
         step, joints = self._read()
         if step is None or step.mode not in READY:
-            raise MoveRefused("The controller starts." if step is None else wrong_time(step.mode, step.reason))
+            raise MoveRefused("The controller starts." if step is None else wrong_time(step.mode, step.reason, guided))
         return number, joints
 
-    def _ask(self, move: ProgramMotion, handle: actionlib.ServerGoalHandle | None = None) -> None:
+    def _ask(
+        self,
+        move: ProgramMotion,
+        handle: actionlib.ServerGoalHandle | None = None,
+        verdict: clock.SimpleQueue[str | None] | None = None,
+    ) -> None:
         """Asks the control loop for a motion; raises MoveRefused: another one was asked for while this was planned."""
         with self._lock:
             self._refuse_second()
             if handle is not None:
                 handle.set_accepted()
-            self._asked, self._handle, self.move = clock.monotonic(), handle, move
+            self._asked, self._handle, self._verdict, self.move = clock.monotonic(), handle, verdict, move
 
     def _refuse_second(self) -> None:
         if self.move is not None:

@@ -37,7 +37,7 @@ class Services:
     ) -> None:
         """`stop` stops the arm where the robot can do that, and returns what to say of it, a part of a sentence;
         `pausable`: PTP motions can be paused; `softens`: servo modes can be soft;
-        `guide`: lets a hand guide the arm."""
+        `guide`: lets a hand guide the arm; it waits for the control loop, which must not wait for it."""
         self._stop = stop
         self._lock = clock.Lock()
         self._switches, self._exits = switches, False
@@ -49,7 +49,7 @@ class Services:
         if softens:
             rospy.Service("kuka/soft", setKukaControl, lambda r: self._ask(switches.set_soft, r.data))
         if guide is not None:
-            rospy.Service("kuka/guide", setKukaControl, lambda r: self._ask(guide, r.data))
+            rospy.Service("kuka/guide", setKukaControl, lambda r: self._answer(guide, r.data))
         rospy.Service("kuka/gripper_control", setGripperControl, lambda r: self._ask(switches.set_gripper, r.data))
         rospy.Service("kuka/set_payload", setPayload, lambda r: self._ask(switches.set_payload, r.data))
         rospy.Service("kuka/scaling_factor", setScalingFactor, lambda r: self._ask(switches.set_scale, r.data))
@@ -74,7 +74,10 @@ class Services:
 
     def _ask(self, change, *values):
         with self._lock:
-            answer: SwitchReply = SwitchReply(False, EXITS) if self._exits else change(*values)
+            return self._answer(change, *values)
+
+    def _answer(self, change, *values):
+        answer: SwitchReply = SwitchReply(False, EXITS) if self._exits else change(*values)
         (rospy.loginfo if answer.success else rospy.logwarn)(answer.message)
         return answer.success, answer.message
 

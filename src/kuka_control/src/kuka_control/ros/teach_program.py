@@ -29,6 +29,7 @@ from kuka_msgs.msg import MoveAction, MoveFeedback, MoveGoal, MoveResult
 
 KIND = "taught_motion"
 POLL_S = 0.05
+HOLD = "Hold the enabling switch and move the arm; each release keeps a way point. Ctrl-C ends the recording."
 
 
 def main() -> None:
@@ -44,7 +45,6 @@ def _record(options: argparse.Namespace) -> int:
         raise RigError(f"{path} exists; choose another name, or add --replace.")
     join("kuka_teach", anonymous=True)
     arm, _ = _arm()
-    print("Hold the enabling switch and move the arm; each release keeps a way point. Ctrl-C ends the recording.")
     points: list[np.ndarray] = []
 
     def keep(q: np.ndarray) -> None:
@@ -73,7 +73,12 @@ def _guide(keep: Callable[[np.ndarray], None], path: bool, released: Callable[[]
         raise DeviceError("Nobody offers kuka/move: start a controller first, such as with make demo.")
     heard = [0.0]
 
+    said: list[str] = []
+
     def take(feedback: MoveFeedback) -> None:
+        if not said:
+            said.append(HOLD)
+            print(HOLD)
         heard[0] = clock.monotonic()
         if path:
             keep(np.array(feedback.joints))
