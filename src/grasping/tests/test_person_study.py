@@ -116,6 +116,27 @@ def test_incomplete_cases_and_who_finished_too_few_are_left_out():
         person_study.report(whole, 5)
 
 
+def test_a_placement_that_was_aborted_in_all_ways_was_begun(tmp_path):
+    """Of ten, p0 aborts three and p1 two; p2 aborts one and stops there, behind four that are finished."""
+    aborted = {"p0": "789", "p1": "89", "p2": "4"}
+    rows = [
+        one._replace(success=None) if one.case[1] in aborted[one.participant] else one
+        for one in outcomes((0.3, 0.9, 0.8), participants=3, scenes=10)
+        if one.participant != "p2" or one.case[1] in "01234"
+    ]
+    found = person_study.kept(person_study.read(written(tmp_path / "results.csv", rows)), 20)
+    assert Counter(one.participant for one in found) == {"p1": 3 * 8, "p2": 3 * 4}
+    assert sorted(found) == sorted(one for one in rows if one.participant != "p0" and one.success is not None)
+
+
+def test_the_curve_counts_what_was_not_aborted():
+    rows = outcomes((0.3, 0.9, 0.8))
+    half = [one._replace(success=None) if one.case[1] in "01234" else one for one in rows]
+    never = [one._replace(participant="p9", shown=5, success=None) for one in rows if one.condition == BOTH]
+    finished = [one for one in half if one.success is not None]
+    assert person_study.curve(half + never) == person_study.curve(finished)
+
+
 def test_a_file_without_results_is_refused(tmp_path, monkeypatch, capsys):
     (tmp_path / "results.csv").write_text("a,b\n1,2\n")
     with pytest.raises(SystemExit):
@@ -149,6 +170,18 @@ class Rig:
         file = self.folder / store.file_name(made)
         file.write_bytes(store.encode(made))
         os.utime(file, (made.t_grasp, made.t_grasp))
+
+
+def written(file, found):
+    """Returns the file, with outcomes as `run` writes them."""
+    with file.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, person_study.COLUMNS, restval="")
+        writer.writeheader()
+        for one in found:
+            row = {"operator": one.participant, "object": one.case[0], "scene": one.case[1], "method": one.condition}
+            came = {} if one.success is None else {"lifted": True, "meant_near": one.success}
+            writer.writerow({**row, "shown": one.shown, **came})
+    return file
 
 
 def rows(folder):
@@ -189,13 +222,7 @@ def test_a_plan_is_drawn_once(tmp_path, monkeypatch, capsys):
 
 
 def test_results_become_a_sentence_and_a_picture(tmp_path, monkeypatch, capsys):
-    file = tmp_path / "results.csv"
-    with file.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, person_study.COLUMNS, restval="")
-        writer.writeheader()
-        for one in outcomes((0.3, 0.9, 0.8)):
-            row = {"operator": one.participant, "object": one.case[0], "scene": one.case[1], "method": one.condition}
-            writer.writerow({**row, "shown": one.shown, "lifted": True, "meant_near": one.success})
+    file = written(tmp_path / "results.csv", outcomes((0.3, 0.9, 0.8)))
     call(monkeypatch, program, "analyse", file, tmp_path / "out")
     assert (tmp_path / "out" / "result.md").read_text() == capsys.readouterr().out
     assert (tmp_path / "out" / "curve.png").stat().st_size > 1000

@@ -21,7 +21,7 @@ from common.statistics import Estimate, paired_difference
 
 NETWORK, PERSON, BOTH = CONDITIONS = "GG-CNN alone", "operator alone", "taste"
 ALPHA = 0.05
-LEAST_TRIALS = 0.8  # of the planned ones that a participant must have finished with each condition
+LEAST_FINISHED = 0.8  # of the placements begun: what a participant must have finished with all three conditions
 PLACE_M = 0.08  # placements lie up to so far from the middle of the table
 COLUMNS = ("operator", "object", "scene", "method", "shown", "meant_mm", "meant_deg", "meant_near", "lifted")
 
@@ -71,7 +71,7 @@ class StudyOutcome(NamedTuple):
     case: tuple[str, str]  # kind and scene
     condition: str
     shown: int  # grasps that had taught
-    success: bool  # lifted, and as the person meant it
+    success: bool | None  # lifted, and as the person meant it; None: aborted
 
 
 class Finding(NamedTuple):
@@ -93,10 +93,9 @@ def read(path: Path) -> list[StudyOutcome]:
                 (row["object"], row["scene"]),
                 row["method"],
                 int(row["shown"]),
-                row["lifted"] == "True" and row["meant_near"] == "True",
+                row["lifted"] == row["meant_near"] == "True" if row["lifted"] else None,
             )
             for row in rows
-            if row["lifted"]
         ]
     except OSError as error:
         raise RigError(f"{path} cannot be read: {error.strerror}.") from None
@@ -105,25 +104,27 @@ def read(path: Path) -> list[StudyOutcome]:
 
 
 def kept(outcomes: Iterable[StudyOutcome], shown: int) -> list[StudyOutcome]:
-    """Returns the outcomes of the test, `shown` grasps having taught: cases with all three conditions, of participants
-    who finished enough of them. What was aborted has no outcome."""
+    """Returns the outcomes of the test, `shown` grasps having taught: cases finished with all three conditions, of
+    participants who finished enough of those that they began; what was aborted is begun."""
     conditions = {NETWORK, PERSON, (BOTH, shown)}
     of: dict[str, dict[tuple[str, str], dict[object, StudyOutcome]]] = defaultdict(lambda: defaultdict(dict))
     for one in outcomes:
-        of[one.participant][one.case][(BOTH, one.shown) if one.condition == BOTH else one.condition] = one
+        case = of[one.participant][one.case]
+        if one.success is not None:
+            case[(BOTH, one.shown) if one.condition == BOTH else one.condition] = one
     found = []
     for cases in of.values():
         whole = [case for case in cases.values() if conditions <= case.keys()]
-        if len(whole) >= LEAST_TRIALS * len(cases):
+        if len(whole) >= LEAST_FINISHED * len(cases):
             found += [case[name] for case in whole for name in conditions]
     return found
 
 
 def fractions(outcomes: Iterable[StudyOutcome], condition: str) -> dict[str, float]:
-    """Returns the fraction of successes of each participant, by name."""
+    """Returns the fraction of successes of each participant, by name; aborted trials do not count."""
     of = defaultdict(list)
     for one in outcomes:
-        if one.condition == condition:
+        if one.condition == condition and one.success is not None:
             of[one.participant].append(one.success)
     return {name: float(np.mean(values)) for name, values in sorted(of.items())}
 
@@ -167,7 +168,7 @@ def report(outcomes: Sequence[StudyOutcome], shown: int) -> str:
 
 def curve(outcomes: Sequence[StudyOutcome]) -> Mapping[int, Estimate]:
     """Returns the successes after each number of shown grasps, with intervals over participants."""
-    counts = sorted({one.shown for one in outcomes if one.condition == BOTH})
+    counts = sorted({one.shown for one in outcomes if one.condition == BOTH and one.success is not None})
     found = {}
     for shown in counts:
         values = list(fractions([one for one in outcomes if one.shown == shown], BOTH).values())
