@@ -20,7 +20,7 @@ from grasping.poses.chooser import SAFE, ImageMaps
 from grasping.poses.hand_view import SCALARS
 from grasping.poses.hypotheses import turned
 from grasping.poses.lift_network import LiftNetwork
-from grasping.poses.preferred import MOST_LOST, offer, preferred, uncertainty
+from grasping.poses.preferred import MOST_LOST, expected, offer, preferred, uncertainty
 from grasping.poses.taste import PoseTaste, nobody
 
 MANY = {"peaks": {"threshold": 0.0, "count": 50}}
@@ -38,6 +38,18 @@ class Lifts(LiftNetwork):
     def forward(self, features):
         quality, _, _, _, _, down = features[:, -SCALARS:].T[:6]
         return 5.0 + 0.5 * quality - self._by_tilt * torch.arccos(torch.clamp(down, -1.0, 1.0))
+
+
+class TwoTilts(LiftNetwork):
+    """Believes so much in grasps that tilt by less than 0.1 rad, and so much in the others."""
+
+    def __init__(self, above: float, tilted: float):
+        super().__init__()
+        self._logits = [float(np.log(p / (1.0 - p))) for p in (above, tilted)]
+
+    def forward(self, features):
+        above, tilted = self._logits
+        return torch.where(features[:, 5 - SCALARS] > float(np.cos(0.1)), above, tilted)
 
 
 def leaning(x=0.2, **liked) -> PoseTaste:
@@ -115,6 +127,37 @@ def test_a_tilt_that_costs_lifts_is_taken_as_far_as_it_costs_no_more_than_a_poin
                 assert best.quality >= min(SAFE, max(c.peak.quality for c in found.candidates) - MOST_LOST)
     wanted = {0.0: (0.35, 0.45), 3.0: (0.3, 0.45), 20.0: (0.0, 0.15)}[by_tilt]
     assert max(tilts[:2]) < 0.1 and all(wanted[0] <= tilt <= wanted[1] for tilt in tilts[2:])
+
+
+def tilt_of_the_choice(lifts: LiftNetwork, taste: PoseTaste) -> float:
+    return float(np.arccos(seen_from_above(look(preferring(taste, lifts=lifts)))[2, 2]))
+
+
+@pytest.mark.parametrize(
+    ("above", "tilted", "taken"),
+    [
+        (0.9, 0.895, True),
+        (0.9, 0.885, False),
+        (0.975, 0.967, True),
+        (0.975, 0.962, False),
+        (0.999, 0.972, True),
+        (0.999, 0.968, False),
+    ],
+)
+def test_the_favourite_is_taken_where_it_loses_at_most_one_point_or_lifts_in_97_percent(above, tilted, taken):
+    """The operator's choice is nearly sure."""
+    tilt = tilt_of_the_choice(TwoTilts(above, tilted), leaning(0.4, right=30.0))
+    assert (tilt > 0.1) == taken, tilt
+
+
+@pytest.mark.parametrize(("fraction", "taken"), [(0.0, True), (0.75, True), (1.08, False)])
+def test_what_the_operator_takes_with_a_probability_is_worth_a_tenth_of_it_in_lifts(of, fraction, taken):
+    """The grasps that tilt lose a fraction of that; all lift in 97 %."""
+    safe, taste = 0.999, leaning(0.4, right=1.0)
+    given = offer(TwoTilts(safe, safe), of, YAML["tool"]["max_opening"]).options
+    lost = fraction * 0.1 * float(np.exp(expected(taste, given)).max())
+    assert safe - lost > SAFE
+    assert (tilt_of_the_choice(TwoTilts(safe, safe - lost), taste) > 0.1) == taken
 
 
 def test_few_episodes_leave_the_choice_to_the_safest_where_the_wanted_tilt_costs_two_points():
