@@ -23,7 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the launch file of the 
 INTERRUPTED = 130  # exit code after Ctrl-C or SIGTERM
 NAMES = (
     "kinematics", "control", "leap", "filter", "client", "shaping", "stopping", "robot_stop", "contact", "compliance",
-    "grasping", "vision", "demo", "views", "pictures",
+    "grasping", "policy", "vision", "demo", "views", "pictures",
 )  # fmt: skip
 
 

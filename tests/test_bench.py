@@ -18,7 +18,7 @@ from bench.measure import HEAD, WHAT_WIDTH, Goal, Peer, Row, aligned, cells
 @pytest.mark.parametrize(
     "name",
     [
-        *("kinematics", "control", "filter", "client", "shaping", "stopping", "vision"),
+        *("kinematics", "control", "filter", "client", "shaping", "stopping", "policy", "vision"),
         pytest.param("leap", marks=pytest.mark.ros),
         pytest.param("pictures", marks=pytest.mark.skipif(not shutil.which("chromium"), reason="no chromium")),
     ],
