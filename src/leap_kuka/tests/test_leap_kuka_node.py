@@ -534,6 +534,21 @@ def test_a_policy_steers_until_a_hand_comes_in_and_goes_on_when_it_has_left(ros,
     np.testing.assert_allclose(tool(), stays, atol=1e-9)
 
 
+def test_each_action_of_a_program_holds_at_its_time(ros):
+    heard, period = PolicyInput(PolicyActions, "kuka/base_frame", 4), 0.1
+    publisher = rospy.Publisher("leap_kuka/policy_actions", PolicyActions, queue_size=1)
+    message = PolicyActions(period=period, tool=[message_from_pose(pose(p=(0.1 * i, 0.0, 0.4))) for i in range(5)])
+    message.header.frame_id = "kuka/base_frame"
+    clock.sleep(0.1)
+    message.header.stamp = rospy.Time.now() + rospy.Duration.from_sec(period)
+    publisher.publish(message)
+    for i in range(5):
+        clock.sleep(period)
+        assert heard.now.T_base_tool[0, 3] == pytest.approx(0.1 * i, abs=1e-4)
+    clock.sleep(1.1 * period)
+    assert heard.now is None
+
+
 def test_of_two_programs_at_once_the_first_is_heard(ros):
     heard = PolicyInput(PolicyActions, "kuka/base_frame", 4)
 

@@ -55,6 +55,15 @@ class TestFrames:
         assert frames.chain("tool") == ("world", (1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0))
         assert frames.relative("base", "tool") is not None and frames.relative("world", "tool") is None
 
+    @given(poses(), poses())
+    def test_are_seen_from_the_base_of_each_arm_however_it_stands(self, base, tool):
+        frames = FramePoses()
+        frames.put("world", "left/base", base, 1.0)
+        frames.put("world", "tool", tool, 1.0)
+        expected = np.linalg.inv(matrix(base)) @ matrix(tool)
+        assert matrix(frames.between("left/base", "tool")) == pytest.approx(expected, abs=1e-9)
+        assert frames.between("left/base", "elsewhere") is None
+
     def test_in_a_circle_have_no_root(self):
         frames = FramePoses()
         frames.put("a", "b", (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), 0.0)

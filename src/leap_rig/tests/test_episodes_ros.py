@@ -1,14 +1,29 @@
 """The program record_episodes.py: services and the cockpit's marks make recordings with labels, and what is latched is
 in each of them."""
 
+import gc
+import itertools
 import json
 import signal
+import threading
+import tracemalloc
+from collections import Counter
+from pathlib import Path
 
 import pytest
 
 from common import clock
 from leap_rig.recording.recording_files import MessageKind, messages, verify
-from leap_rig.recording.session import FAILURE, SUCCESS, UNFINISHED, chosen, episode_folder, episode_folders, read_label
+from leap_rig.recording.session import (
+    DISCARDED,
+    FAILURE,
+    SUCCESS,
+    UNFINISHED,
+    chosen,
+    episode_folder,
+    episode_folders,
+    read_label,
+)
 
 pytest.importorskip("rig_msgs.srv")
 from types import SimpleNamespace
@@ -150,6 +165,41 @@ def test_a_discarded_episode_stays_but_is_not_chosen(program, tmp_path):
     assert mark("success") == (True, "Episode 1 has ended: success.")
     session = tmp_path / "session"
     assert chosen(session) == [episode_folder(session, 1)] and len(episode_folders(session)) == 2
+
+
+def test_a_hundred_episodes_leave_nothing_behind(program, objects, tmp_path):
+    """The first twenty fill caches."""
+    rospy.Service("simulation/reset", Trigger, lambda _: TriggerResponse(True, ""))
+    rows, folder = rospy.Publisher("operator_view/rows", String, queue_size=10), Path("/proc/self/fd")
+
+    def record(count):
+        runs = False
+        for ending in itertools.islice(itertools.cycle(("again", "success", "discard", "failure")), count):
+            assert runs or mark("begin")[0]
+            clock.sleep(2.0)
+            for _ in range(10):
+                objects(0.06, ["reflex/distal_1"])
+                rows.publish("x" * 5000)
+                clock.sleep(0.01)
+            assert mark(ending)[0]
+            runs = ending == "again"
+        return threading.active_count(), len(list(folder.iterdir()))
+
+    before = record(20)
+    gc.collect()
+    tracemalloc.start()
+    try:
+        assert record(80) == before, "threads, open files"
+        gc.collect()
+        kept = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    print(f"kept of 80 episodes: {kept / 1000:.0f} kB")
+    assert kept < 80 * 5000, "an episode's messages have 50 kB"
+    session = tmp_path / "session"
+    outcomes = Counter(read_label(one).outcome for one in episode_folders(session))
+    assert outcomes == {SUCCESS: 25, FAILURE: 25, DISCARDED: 50}
+    assert [topics_of(one).count("/operator_view/rows") for one in episode_folders(session)] == [10] * 100
 
 
 def test_the_cockpit_and_a_fist_of_the_second_hand_mark_too(program, ros, tmp_path):

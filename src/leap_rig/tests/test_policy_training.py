@@ -270,6 +270,7 @@ def test_an_episode_gives_rows_as_the_camera_and_the_hand_had_them(tmp_path):
     assert one.there[:3, 0].all() and not one.there[-3:].any()
     step = one.actions[1, 2, 0] - one.actions[1, 0, 0]
     assert 0.03 < step < 0.05, "two rows of 0.1 s, in which it goes 0.04 m"
+    assert one.actions[1, 0, 0] == pytest.approx(0.04, abs=0.005), "the desired tool of the next row"
 
 
 @pytest.mark.ros

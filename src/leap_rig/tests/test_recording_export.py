@@ -393,7 +393,9 @@ def seen_and_felt(folder):
         header = Header(0, rospy.Time(0, START), "")
         hold = TeleopState(state="holding", hold="led") if i < 5 else TeleopState(state="running", hold="taken")
         found.append(stored("/leap_kuka/state", hold, 0.1 * i))
-        depth = Image(header, 64, 96, "16UC1", 0, 192, np.full((64, 96), 700 + i, "<u2").tobytes())
+        mm = np.full((64, 96), 700 + i, "<u2")
+        mm[:, 40:] = 1300  # a wall behind
+        depth = Image(header, 64, 96, "16UC1", 0, 192, mm.tobytes())
         found.append(stored("/camera/depth/image", depth, 0.1 * i))
         found.append(stored("/kuka/flange_force", Vector3Stamped(header, Vector3(float(i), 2.0, 3.0)), 0.1 * i))
     write_recording(folder, sorted(found, key=lambda one: one.received), name="x", task="lift the cup")

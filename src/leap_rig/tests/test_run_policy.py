@@ -77,11 +77,16 @@ def end(program):
 
 
 def test_actions_are_seen_from_the_tool(virtual_graph, file):
-    rig, sent = SeenRig(), virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
+    rig, sent, due = SeenRig(), virtual_graph.record("leap_kuka/policy_actions", PolicyActions), []
+    rospy.Subscriber(
+        "leap_kuka/policy_actions", PolicyActions,
+        lambda message: due.append((message.header.stamp - rospy.Time.now()).to_sec()),
+    )  # fmt: skip
     program = start(virtual_graph, file)
     rig.publish_for(2.0)
     end(program)
     message = sent[-1]
+    np.testing.assert_allclose(due, message.period, atol=0.01, err_msg="the first one a period after what it saw")
     assert message.header.frame_id == "kuka/base_frame" and len(message.tool) == 4 and message.period == 0.1
     assert [one.position.x for one in message.tool] == pytest.approx([0.5 + AHEAD_M] * 4)
     np.testing.assert_allclose(np.reshape(message.fingers, (4, 4)), [[0.4, 0.4, 0.4, 0.1]] * 4, atol=1e-6)
@@ -165,7 +170,8 @@ def test_a_second_program_is_told_who_steers_and_the_first_one_stays(virtual_gra
     clock.sleep(1.0)
     second = start(virtual_graph, file)
     assert second.wait(5.0) == 1 and "sends actions already, and two programs cannot steer: end it" in second.log
-    assert first.poll() is None
+    clock.sleep(1.0)
+    assert first.poll() is None, first.log
     end(first)
 
 
