@@ -3,6 +3,7 @@ where its published weights, which are not shipped, are in `shared/data/ggcnn`."
 
 from __future__ import annotations
 
+import copy
 import time
 from pathlib import Path
 
@@ -11,13 +12,17 @@ import numpy as np
 import torch
 import yaml
 
-from bench.measure import SHARED_DATA, SRC, Row, row
+from bench.measure import SHARED_DATA, SRC, Goal, Peer, Row, row
 from common.camera_model import pinhole
+from grasping.network.networks import frozen, infer
 from grasping.network.weights import load
 from grasping.pipeline.pipeline import GraspPipeline
-from grasping.pipeline.settings import overlaid, settings_from
+from grasping.pipeline.settings import GgcnnSettings, overlaid, settings_from
+from grasping.poses.chooser import ImageMaps, choose
+from grasping.poses.lift_network import loaded
 
 CAMERA = pinhole("bench", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
+WEIGHTS = SRC / "grasping" / "weights"
 GGCNN_WEIGHTS = SHARED_DATA / "ggcnn" / "epoch_29_model.hdf5"
 STAGES = ("view", "network", "peaks", "poses")
 UP = np.array([0.0, 0.0, 1.0])
@@ -34,7 +39,7 @@ def rows(quick: bool) -> list[Row]:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
-        table = _rows("GG-CNN2", SRC / "grasping" / "weights" / "ggcnn2_wide.pt", images)
+        table = _rows("GG-CNN2", WEIGHTS / "ggcnn2_wide.pt", images) + _choices(images)
         if GGCNN_WEIGHTS.exists():
             table += _rows("GG-CNN", GGCNN_WEIGHTS, images)
         else:
@@ -46,13 +51,10 @@ def rows(quick: bool) -> list[Row]:
 
 
 def _rows(name: str, weights: Path, images: list[np.ndarray]) -> list[Row]:
-    folder = SRC / "grasping"
     network = load(weights.read_bytes()).network
-    values = yaml.safe_load((folder / "config" / "ggcnn.yaml").read_text())
-    values["tool"] = yaml.safe_load((folder / "config" / "tool_pose.yaml").read_text())
     chains = {}
     for view in ("camera", "table"):
-        s = settings_from(overlaid(values, {"view": view}))
+        s = _settings(view)
         finder = GraspPipeline(s.views(), network, s.steps(UP), clock=CLOCK)
         chains[f"view {view}"] = lambda depth, now, f=finder: f.step(depth, CAMERA, np.eye(4), now).seconds
     times: dict[str, list] = {chain: [] for chain in chains}
@@ -60,6 +62,36 @@ def _rows(name: str, weights: Path, images: list[np.ndarray]) -> list[Row]:
         for chain, call in chains.items():
             times[chain].append(call(depth, i / 15.0))
     return _table(name, times)
+
+
+def _choices(images: list[np.ndarray]) -> list[Row]:
+    """Returns the times of the choice of a grasp by the network of lifts beside that of GG-CNN2's forward pass: where
+    one from straight above is sure, and where none is, so that tilted ones are tried, too."""
+    network, s = frozen(load((WEIGHTS / "ggcnn2_wide.pt").read_bytes()).network), _settings("table")
+    lifts = loaded((WEIGHTS / "lifts_parallel.pt").read_bytes())
+    unsure = copy.deepcopy(lifts)
+    unsure.temperature *= 100.0
+    views, widest = s.views(), s.steps(UP).tool.max_opening
+    times: dict[str, list[float]] = {"pass": [], "lifts: choice": [], "lifts: choice, tilts tried, too": []}
+    for depth in images:
+        view = views.step(depth, CAMERA)
+        begin = CLOCK()
+        output = infer(network, view.image.input)
+        times["pass"].append(1e3 * (CLOCK() - begin))
+        for name, of in zip(list(times)[1:], (lifts, unsure)):
+            maps = ImageMaps.of_output(view.image, view.camera, output)
+            begin = CLOCK()
+            choose(of, maps, widest)
+            times[name].append(1e3 * (CLOCK() - begin))
+    beside = Goal(15.0), Peer("GG-CNN2's pass", float(np.median(times.pop("pass")[1:])))  # the first compiles
+    return [row(name, each[1:], "ms", "time of one processor", *beside) for name, each in times.items()]
+
+
+def _settings(view: str) -> GgcnnSettings:
+    folder = SRC / "grasping" / "config"
+    values = yaml.safe_load((folder / "ggcnn.yaml").read_text())
+    values["tool"] = yaml.safe_load((folder / "tool_pose.yaml").read_text())
+    return settings_from(overlaid(values, {"view": view}))
 
 
 def _table(name: str, times: dict[str, list]) -> list[Row]:

@@ -119,16 +119,22 @@ def _behind(
     """Writes how far the points of grids lie behind the surface seen there, -1 to 1, to `found`, shape (n, m) [unit];
     `axes`: of the grids and their origins, shape (n, k, 3) [m]; `grid`: the points' multiples of these, shape (k, m).
     """
-    least, part = np.float32(1e-3), 64  # of the hypotheses at a time, so that the processor's cache holds the points
+    least, one, per_unit = np.float32(1e-3), np.float32(1.0), np.float32(1.0 / unit)
+    part = 32  # of the hypotheses at a time, so that the processor's cache holds the points
     to_pixels = pixel_matrix(image, camera)
     to_pixels[:2] -= 0.5 * to_pixels[2]  # as OpenCV counts: whole numbers are the pixels' middles
     # Column and row of the image, both times the depth, and the depth are linear in the multiples: no point is found.
     seen = np.ascontiguousarray(np.moveaxis(axes.astype(np.float32) @ to_pixels.T.astype(np.float32), 2, 0))
+    points, other = np.empty((3, part, grid.shape[1]), np.float32), np.empty((part, grid.shape[1]), np.float32)
     for first in range(0, len(axes), part):
-        column, row, depth = seen[:, first : first + part] @ grid
-        nearer = np.reciprocal(np.maximum(depth, least))
+        behind = found[first : first + part]
+        count = len(behind)
+        column, row, depth = np.matmul(seen[:, first : first + count], grid, out=points[:, :count])
+        nearer = np.maximum(depth, least, out=other[:count])
+        np.reciprocal(nearer, out=nearer)
         column *= nearer
         row *= nearer
-        depth -= cv2.remap(image.depth, column, row, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-        depth *= np.float32(1.0 / unit)
-        np.clip(depth, -1.0, 1.0, out=found[first : first + part])
+        depth -= cv2.remap(image.depth, column, row, cv2.INTER_NEAREST, nearer, borderMode=cv2.BORDER_REPLICATE)
+        depth *= per_unit
+        np.maximum(depth, -one, out=depth)
+        np.minimum(depth, one, out=behind)
