@@ -153,6 +153,23 @@ def test_actions_go_to_who_leads_the_tool_which_says_why_it_does_not(published, 
     assert (message.tool[0].position.x, message.tool[0].orientation.w, message.fingers[0]) == (0.52, 1.0, 0.5)
 
 
+def test_each_program_may_steer_from_its_first_action_but_not_again_once_it_was_stopped(published):
+    """The permission of the server's start has ended long before LeRobot acts."""
+    asked, rig = [], desk()
+    rospy.Service("leap_kuka/run_policy", SetBool, lambda r: asked.append(r.data) or (len(asked) < 2, "Not now."))
+    act = {"do": "act", "action": action()}
+    for program, said in enumerate(("", "Not now."), 1):
+        rig.answer({"do": "hello"})
+        assert len(asked) == program - 1, "it may look first"
+        assert rig.answer(act)[0]["refused"] == said
+        rig.answer(act)
+        assert asked == [True] * program
+    reading = desk(moves=False)
+    reading.answer({"do": "hello"})
+    reading.answer(act)
+    assert len(asked) == 2
+
+
 def test_a_second_program_that_steers_is_told_who_does_and_a_reading_one_is_not(virtual_graph, monkeypatch):
     monkeypatch.setattr(server_program, "LerobotServer", lambda *_: SimpleNamespace(close=lambda: None))
     rospy.Service("leap_kuka/run_policy", SetBool, lambda request: (True, ""))

@@ -1,6 +1,7 @@
 """What run_policy.py publishes by what the rig publishes, and why it waits."""
 
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,60 +12,76 @@ import rospy
 import torch
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
+from std_srvs.srv import SetBool
 from test_lerobot_server import LATE_S, MEASURED, PublishedRig
 from tf2_msgs.msg import TFMessage
 
 from common import clock
+from common.ros.service_calls import call
+from kuka_msgs.srv import setGripperControl, setKukaControl
 from leap_rig.policy.network import PolicyAbout, PolicyNetwork, saved
 from leap_rig.policy.ros.run_program import PolicyRunner
 from rig_msgs.msg import PolicyActions
+from rig_simulation.control_port import ControlClient
+from simulated.hand_wire import HandNetwork
 
 pytestmark = pytest.mark.ros
 HAND, DEPTH, INFO = "reflex_takktile/hand_state", "camera/depth/image", "camera/depth/camera_info"
 AHEAD_M = 0.02
 
 
+def camera_messages(depth=0.9, width=64, K=(60.0, 0, 31.5, 0, 60.0, 23.5, 0, 0, 1.0)):
+    """An image of a depth that is everywhere the same, and its camera_info."""
+    stamp = Header(0, rospy.Time.now(), "camera")
+    info = CameraInfo(header=stamp, height=48, width=width, distortion_model="plumb_bob", K=K)
+    info.D, info.R = [0.0] * 5, np.eye(3).ravel().tolist()
+    info.P = [*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0]
+    data = np.full((48, width), depth, "<f4").tobytes()
+    return {DEPTH: Image(stamp, 48, width, "32FC1", 0, 4 * width, data), INFO: info}
+
+
+def hang_camera(parent, x=0.5):
+    """Lets the camera hang 1 m above a frame's plane, and look down; returns who says so."""
+    static = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
+    at = Transform(Vector3(x, 0.0, 1.0), Quaternion(1.0, 0.0, 0.0, 0.0))
+    static.publish(TFMessage([TransformStamped(Header(0, rospy.Time.now(), parent), "camera", at)]))
+    return static
+
+
 class SeenRig(PublishedRig):
-    """Publishes what a policy sees, too: a camera that hangs 1 m above the base's origin and looks down on a table."""
+    """Publishes what a policy sees, too: a camera over a table."""
 
     def __init__(self, of="", camera_in="kuka/base_frame"):
+        self.camera, self.angle = {}, 0.1
         super().__init__(of)
-        self.depth, self.width, self.K = 0.9, 64, [60.0, 0, 31.5, 0, 60.0, 23.5, 0, 0, 1.0]
-        self.angle = 0.1
-        self.static = rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)
-        at = Transform(Vector3(5.0 * bool(of) + 0.5, 0.0, 1.0), Quaternion(1.0, 0.0, 0.0, 0.0))
-        self.static.publish(TFMessage([TransformStamped(Header(0, rospy.Time.now(), camera_in), "camera", at)]))
+        self.static = hang_camera(camera_in, 5.0 * bool(of) + 0.5)
 
     def messages(self):
         found = super().messages()
-        if not hasattr(self, "depth"):
-            return {**found, DEPTH: Image(), INFO: CameraInfo()}
         found[HAND].motor[0].joint_angle = self.angle
-        stamp = Header(0, rospy.Time.now(), "camera")
-        data = np.full((48, self.width), self.depth, "<f4").tobytes()
-        found[DEPTH] = Image(stamp, 48, self.width, "32FC1", 0, 4 * self.width, data)
-        info = CameraInfo(header=stamp, height=48, width=self.width, distortion_model="plumb_bob", K=self.K)
-        info.D, info.R = [0.0] * 5, np.eye(3).ravel().tolist()
-        info.P = [*self.K[:3], 0.0, *self.K[3:6], 0.0, *self.K[6:], 0.0]
-        return {**found, INFO: info}
+        return {**found, **camera_messages(**self.camera)}
 
     def publish_for(self, s, *without):
         for _ in range(round(s / LATE_S)):
             self.publish(*without)
 
 
-@pytest.fixture
-def file(tmp_path):
-    """A policy that always goes straight ahead."""
+def ahead(path, down=False):
+    """Writes a policy that always goes straight ahead, and returns its file; `down`: as the tool of a rig points."""
     network = PolicyNetwork(PolicyAbout("go", 10, 4, 1, True, True))
     with torch.no_grad():
         for one in network.parameters():
             one.zero_()
-    network.action_mean.copy_(torch.tensor([AHEAD_M, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.4, 0.4, 0.4, 0.1]))
-    path = tmp_path / "ahead.pt"
+    y = -1.0 if down else 1.0
+    network.action_mean.copy_(torch.tensor([AHEAD_M, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, y, 0.0, 0.4, 0.4, 0.4, 0.1]))
     path.write_bytes(saved(network))
     return path
+
+
+@pytest.fixture
+def file(tmp_path):
+    return ahead(tmp_path / "ahead.pt")
 
 
 def start(graph, file, *words):
@@ -111,6 +128,50 @@ def test_of_two_arms_the_one_of_its_namespace_is_steered(virtual_graph, file):
     assert sent[-1].tool[0].position.x == pytest.approx(0.5 + AHEAD_M)
 
 
+def test_on_a_rig_of_two_arms_it_moves_its_arm_and_hand_and_no_other(virtual_graph, tmp_path):
+    arms = ("left", 30011, 11433), ("right", 30012, 11434)  # control ports of arm and hand
+    relative = Path(__file__).parents[2] / "leap_kuka" / "config" / "relative_policy.yaml"
+    camera = {
+        topic: rospy.Publisher(topic, type(message), queue_size=1) for topic, message in camera_messages().items()
+    }
+
+    def see(seconds):
+        for _ in range(round(seconds / LATE_S)):
+            for topic, message in camera_messages().items():
+                camera[topic].publish(message)
+            clock.sleep(LATE_S)
+
+    def angles():
+        ports = [ControlClient("127.0.0.1", port) for _, *ports in arms for port in ports]
+        states = [port.ask("state") for port in ports]
+        return [np.array(state.get("joints") or state["angles"]) for state in states]
+
+    def moved(since):
+        return [np.abs(now - before).max() > 0.05 for now, before in zip(angles(), since)]
+
+    with HandNetwork():
+        hidden = dict.fromkeys(("gui", "operator_view", "auto_start"), "false")
+        virtual_graph.launch("leap_rig", "demo.launch", robots=2, view="none", leap_overrides=str(relative), **hidden)
+        static = hang_camera("left/kuka/base_frame")
+        modes = {arm: virtual_graph.record(f"{arm}/kuka/mode", String) for arm, *_ in arms}
+        virtual_graph.wait_until(
+            lambda: all(said and said[-1].data == "home" for said in modes.values()), 30.0, "both arms at home"
+        )
+        for arm, *_ in arms:
+            assert call(f"{arm}/kuka/kuka_control", setKukaControl, True, timeout=5.0).success
+            assert call(f"{arm}/kuka/gripper_control", setGripperControl, True, timeout=5.0).success
+        ControlClient("127.0.0.1", 16437).ask("pause")  # no hands
+        program, start_angles = start(virtual_graph, ahead(tmp_path / "ahead.pt", down=True), "__ns:=left"), angles()
+        see(2.0)
+        assert "The policy acts." in program.log and not any(moved(start_angles)), "nobody has said that it may"
+        assert call("left/leap_kuka/run_policy", SetBool, True, timeout=5.0).success
+        see(3.0)
+        assert moved(start_angles) == [True, True, False, False], program.log
+        assert [modes[arm][-1].data for arm, *_ in arms] == ["servo", "home"]
+        end(program)
+    static.unregister()
+
+
 @pytest.mark.parametrize(
     "silent, after, why",
     [
@@ -137,10 +198,10 @@ def test_where_something_is_silent_the_policy_waits_and_says_so_once(virtual_gra
 @pytest.mark.parametrize(
     "change, why",
     [
-        ({"depth": float("nan")}, "/camera/depth/image shows nothing at 0.3 to 2 m"),
-        ({"depth": 900.0}, "the median of the depth is 900 m"),
-        ({"K": [0.0] * 9}, "the camera is not calibrated"),
-        ({"K": [float("nan")] * 9}, "the numbers of the camera_info are not finite"),
+        ({"camera": {"depth": float("nan")}}, "/camera/depth/image shows nothing at 0.3 to 2 m"),
+        ({"camera": {"depth": 900.0}}, "the median of the depth is 900 m"),
+        ({"camera": {"K": [0.0] * 9}}, "the camera is not calibrated"),
+        ({"camera": {"K": [float("nan")] * 9}}, "the numbers of the camera_info are not finite"),
         ({"angle": float("nan")}, "the angles of the hand's motors are not all finite"),
     ],
 )
@@ -157,7 +218,7 @@ def test_a_camera_that_gets_another_size_is_seen_through_its_new_camera_info(vir
     rig, sent = SeenRig(), virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
     program = start(virtual_graph, file)
     rig.publish_for(1.0)
-    rig.width = 72
+    rig.camera = {"width": 72}
     rig.publish_for(0.5)
     count = len(sent)
     rig.publish_for(1.0)

@@ -54,6 +54,7 @@ class RigDesk:
         self._lock = clock.Lock()
         self._newest = NewestMessages()
         self._acted = self._acts_since = float("-inf")
+        self._asks = False  # for the permission to steer, which ends where no program acts: at its first action
         if moves:
             self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
         for topic, kind in (
@@ -71,6 +72,8 @@ class RigDesk:
         """Answers one request; raises RigError where it cannot."""
         what = request.get("do")
         if what == "hello":
+            with self._lock:
+                self._asks = self._moves
             return {"moves": self._moves, "action": ACTION, "cameras": list(self._cameras)}, {}
         if what == "observe":
             return {"state": self._state()}, {name: self._image(name) for name in self._cameras}
@@ -125,6 +128,12 @@ class RigDesk:
         pose = Pose(Point(x, y, z), Quaternion(*(part / length for part in q)))
         fingers = [float(action[name]) for name in FINGERS]
         header = Header(0, rospy.Time.now(), self._newest.frames(BASE))
+        with self._lock:
+            asks, self._asks = self._asks, False
+        if asks:
+            answer = call(RUN_POLICY, SetBool, True, timeout=ANSWER_S)
+            if not answer.success:
+                return answer.message
         self._actions.publish(PolicyActions(header, HOLDS_S, [pose], fingers))
         return self._not_led()
 
