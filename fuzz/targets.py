@@ -134,7 +134,7 @@ class Wire:
         from kst.codec import KstLineSplitter, parse_reply
 
         self._replies = [parse_reply(line) for line in KstLineSplitter().feed(answers)]
-        self.ended_by_peer = True
+        self.ended_by_peer, self.program = True, "MatlabToolboxServer"
         self.sent: list[str] = []
         self.monotonic = time.monotonic
 

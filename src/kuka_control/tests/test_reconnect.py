@@ -57,6 +57,13 @@ def observation(desired=None, **switches):
     return Observation(np.zeros(7), Inputs(desired, switches=SwitchState(**switches)))
 
 
+@pytest.mark.parametrize("deaf", [True, False])
+def test_only_a_server_that_may_be_deaf_is_to_be_started_again(deaf):
+    (event,) = ReconnectSupervisor(LOST, Counter(), Loop, deaf).lost(LOST, 100.0)
+    assert ("end MatlabToolboxServer on the smartPad" in event.sentence) is deaf
+    assert "this controller tries to connect again." in event.sentence
+
+
 @pytest.mark.hazard(7)
 def test_nothing_moves_until_control_is_switched_on(supervisor, loops):
     supervisor.connected()

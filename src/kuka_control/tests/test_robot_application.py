@@ -13,7 +13,7 @@ from loop_world import rig
 from common import clock
 from common.errors import ConfigError
 from common.modes import Mode
-from kst import ApplicationSettings, WrongMode
+from kst import ApplicationSettings, ConnectionLost, WrongMode
 from kuka_control.loop.moves import MoveGoal, MovePlanner, MoveState, ProgramMotion
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.switches import Switches
@@ -63,6 +63,21 @@ def test_it_follows_with_the_whole_state_in_each_answer():
         state = one.arm.state
         assert one.arm.estimated_in_servo == () and state.moment is not None and state.force is not None
         assert one.arm.reckoned == (True, 0.0)
+
+
+@pytest.mark.parametrize(("application", "program"), [(KNOWN, "LeapRigServer"), (None, "MatlabToolboxServer")])
+def test_a_lost_robot_is_to_be_started_by_its_own_name(application, program):
+    with bench(application=application) as one:
+        one.run(clock.monotonic() + 5.0, "homing")
+        one.server.stop()
+        with pytest.raises(ConnectionLost, match=f"restart {program} on the smartPad"):
+            one.run(clock.monotonic() + 30.0)
+
+
+def test_nobody_is_warned_of_what_was_asked_for():
+    with bench(application=KNOWN) as one:
+        step, said = events(one, 15.0)
+        assert step.mode == "servo" and said and not [each for each in said if "The robot says" in each]
 
 
 def test_the_toolbox_hears_no_other_word_than_before():

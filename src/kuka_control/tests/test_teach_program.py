@@ -140,6 +140,33 @@ def test_an_arm_that_cannot_be_guided_says_why_and_nothing_is_stored(guided, mon
     assert not teach_program.user_file(teach_program.KIND, "wave").exists()
 
 
+def test_what_cannot_be_stored_is_said_before_or_shown(guided, monkeypatch, capsys):
+    arm = guided(unguided=None)
+    assert teach_program._list(argparse.Namespace()) == 0 and "No motion is kept in " in capsys.readouterr().out
+    folder = teach_program.user_file(teach_program.KIND, "wave").parent
+    with monkeypatch.context() as patched:
+        patched.setattr(teach_program.os, "access", lambda *_: False)
+        with pytest.raises(RigError, match="taught_motions cannot be written; nothing could be stored"):
+            record()
+    folder.rmdir()
+    folder.write_text("a file")
+    with pytest.raises(RigError, match="taught_motions cannot be made: File exists; nothing could be stored"):
+        record()
+    assert not arm.asked, "nobody moves the arm for nothing"
+    folder.unlink()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(teach_program, "write_whole", full)
+    interrupted_after(monkeypatch, 1.5 * HELD_S)
+    with pytest.raises(RigError, match="wave.yaml cannot be written: No space left on device"):
+        record()
+    shown = capsys.readouterr().out
+    folder.joinpath("wave.yaml").write_text(shown[shown.index("points are kept.") + len("points are kept.") :])
+    assert len(stored()) == 1, "what is shown can be stored by hand"
+
+
 def test_a_controller_that_falls_silent_ends_the_recording_and_what_was_kept_is_stored(guided, monkeypatch, capsys):
     arm = guided(unguided=None)
     interrupted_after(monkeypatch, 60.0)

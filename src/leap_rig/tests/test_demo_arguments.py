@@ -37,7 +37,7 @@ pytestmark = pytest.mark.ros
         (["--", "tracker:=kinect"], "there is no tracker 'kinect'; known are leap"),
         (["--scenario", "pick_cup", "--", "tracker:=headset"], "the tracker headset sees your own hand"),
         (["--", "operator:=no_such_person"], "/no_such_person.yaml for operator:=no_such_person; known: "),
-        (["--", "operator:=../x"], "The operator's name is '../x', but must"),
+        (["--", "operator:=../x"], "The name of the operator is '../x', but must"),
         (["--", "scene:=no_such/scene.yaml"], "no_such/scene.yaml is not a file"),
         (
             ["--tracker", "webcam", "--scenario", "wall"],

@@ -4,13 +4,14 @@ import contextlib
 import socket
 import struct
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
 from common import clock
 from kst.codec import ReplyKind
 from kst.errors import ConnectionLost, NoServer
-from kst.transport import KstTransport
+from kst.transport import LEAP_RIG, TOOLBOX, KstTransport
 from simulated.wires import DELAY_S
 
 RESET = (socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -132,6 +133,22 @@ def test_a_host_without_an_address(monkeypatch):
     with pytest.raises(NoServer) as caught:
         KstTransport.connect("no such host", 30001, 5.0)
     assert caught.value.address == "no such host:30001"
+
+
+@pytest.mark.parametrize(
+    ("program", "absent"),
+    [
+        (
+            TOOLBOX,
+            "no toolbox server at .*: start MatlabToolboxServer on the smartPad .it waits 60 s for a client. and",
+        ),
+        (LEAP_RIG, "no robot application at .*: start LeapRigServer on the smartPad and check cable and address"),
+    ],
+)
+def test_what_is_to_be_started_is_named(monkeypatch, program, absent):
+    monkeypatch.setattr(socket, "create_connection", Mock(side_effect=ConnectionRefusedError("Connection refused")))
+    with pytest.raises(NoServer, match=absent):
+        KstTransport.connect("127.0.0.1", 30001, 5.0, program)
 
 
 def test_a_connection_that_met_only_itself_is_no_server(monkeypatch):

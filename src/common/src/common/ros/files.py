@@ -24,7 +24,7 @@ def user_file(kind: str, name: str) -> Path:
     """Returns the path of NAME.yaml in ~/.config/leap_rig/KINDs; raises RigError if the name is not one of a file."""
     if not FILE_NAME.fullmatch(name):
         allowed = "must be up to 100 letters, digits, - and _, and begin with a letter or digit"
-        raise RigError(f"The {kind}'s name is {name!r}, but {allowed}.")
+        raise RigError(f"The name of the {kind.replace('_', ' ')} is {name!r}, but {allowed}.")
     return home() / ".config" / "leap_rig" / f"{kind}s" / f"{name}.yaml"
 
 

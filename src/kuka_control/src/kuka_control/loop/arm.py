@@ -4,6 +4,7 @@ through: a lost connection reaches the reconnect supervisor."""
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -58,6 +59,9 @@ NEWER = {
     Feedback.FORCE: ("force", "it is estimated from the external torques"),
 }
 """Feedback that servers before May 2019 lack in servo mode: its name, and its substitute."""
+
+ORDINARY = re.compile("servo mode (begins|goes on|ends: the client's word)|the motion is (paused|resumed)$")
+"""What the robot says of that which this controller has asked for; no remark."""
 
 UNGUARDED = (
     "This toolbox server knows no PTP motions that end at a contact, as those before April 2018: ptp_contact_torque "
@@ -274,7 +278,7 @@ class KstArm(Arm):
     def take_remarks(self) -> list[str]:
         remarks, self._remarks = self._remarks, []
         if self.abilities:
-            remarks += [f"The robot says: {event}." for event in self._client.events()]
+            remarks += [f"The robot says: {event}." for event in self._client.events() if not ORDINARY.match(event)]
         return remarks
 
     def silence(self) -> float:

@@ -52,6 +52,7 @@ BACK = (
     "and follows the desired tool frame."
 )
 WAITING = "Control is off, nothing is sent, and the same connection is probed for up to 10 s."
+DEAF = "A server that lost its client may be deaf: then end MatlabToolboxServer on the smartPad and start it again."
 _SILENT = "this controller was silent for longer than watchdog_brake"
 WHY = {"the client": ASKED, "the watchdog": _SILENT, "the client was silent": _SILENT}
 """What the robot names as the reason of a stop, in other words where its own say too little."""
@@ -72,8 +73,12 @@ class ReconnectSupervisor:
         counts: the counters of the previous control loop, which continue.
         next_try: time of the next attempt to connect, monotonic [s]; the pauses grow."""
 
-    def __init__(self, error: KstError, counts: Counter[str], make_loop: Callable[[], ControlLoop]) -> None:
+    def __init__(
+        self, error: KstError, counts: Counter[str], make_loop: Callable[[], ControlLoop], deaf: bool = True
+    ) -> None:
+        """`deaf`: a server that lost its client may be, as that of the toolbox."""
         self.counts = counts
+        self._cure = f" {DEAF}" if deaf else ""
         self._lost = ""
         self.reason = f"The robot does not answer: {error}. {WAITING}"
         self.next_try = math.inf
@@ -90,8 +95,7 @@ class ReconnectSupervisor:
         silent = isinstance(error, (ConnectionLost, ReplyTimeout))
         what = "The robot is out of reach" if silent else "The link to the robot was given up"
         self.reason = self._lost = (
-            f"{what}: {error}. Control is off, and this controller tries to connect again. A server that lost its "
-            "client may be deaf: then end MatlabToolboxServer on the smartPad and start it again."
+            f"{what}: {error}. Control is off, and this controller tries to connect again.{self._cure}"
         )
         self.next_try, self._remind_at = now + FIRST_PAUSE_S, now
         return (Event("error", self._lost),)

@@ -318,7 +318,9 @@ class _Node:
         exits = self._switches.now.exit_requested
         self._services.hold("the robot does not answer")
         self._moves.abort("The robot does not answer; where the arm is now is not known.")
-        supervisor = self._loop = ReconnectSupervisor(error, self._loop.counts, self._make_loop)
+        supervisor = self._loop = ReconnectSupervisor(
+            error, self._loop.counts, self._make_loop, not self._link.arm.abilities
+        )
         self._controller.restart(self._link.arm, supervisor)
         if isinstance(error, ReplyTimeout):
             rospy.logerr(supervisor.reason)

@@ -4,6 +4,7 @@ each by a motion of the running controller."""
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -43,6 +44,12 @@ def _record(options: argparse.Namespace) -> int:
     path = user_file(KIND, options.name)
     if path.exists() and not options.replace:
         raise RigError(f"{path} exists; choose another name, or add --replace.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RigError(f"{path.parent} cannot be made: {error.strerror}; nothing could be stored.") from error
+    if not os.access(path.parent, os.W_OK):
+        raise RigError(f"{path.parent} cannot be written; nothing could be stored.")
     join("kuka_teach", anonymous=True)
     arm, _ = _arm()
     points: list[np.ndarray] = []
@@ -55,10 +62,12 @@ def _record(options: argparse.Namespace) -> int:
     if not points:
         raise RigError(f"No way point was kept. {fault}".strip())
     kept = reduced(np.array(points)) if options.path else np.array(points)
+    content = yaml.safe_dump(content_of(kept, arm), sort_keys=False)
     try:
-        write_whole(path, yaml.safe_dump(content_of(kept, arm), sort_keys=False))
+        write_whole(path, content)
     except OSError as error:
-        raise RigError(f"{path} cannot be written: {error.strerror}; nothing was stored.") from error
+        print(content)
+        raise RigError(f"{path} cannot be written: {error.strerror}; what belongs into it is above.") from error
     print(f"{len(kept)} way points are in {path}.")
     if fault:
         print(fault, file=sys.stderr)
@@ -105,7 +114,11 @@ def _guide(keep: Callable[[np.ndarray], None], path: bool, released: Callable[[]
 
 
 def _list(_: argparse.Namespace) -> int:
-    for path in sorted(user_file(KIND, "any").parent.glob("*.yaml")):
+    folder = user_file(KIND, "any").parent
+    files = sorted(folder.glob("*.yaml"))
+    if not files:
+        print(f"No motion is kept in {folder}.")
+    for path in files:
         content = read_yaml(path)
         known = isinstance(content, dict)
         print(f"{path.stem:<24} {content.get('count', '?') if known else 'no taught motion'} way points")

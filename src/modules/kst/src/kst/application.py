@@ -22,7 +22,7 @@ from kst.codec import (
     number,
 )
 from kst.errors import KstError
-from kst.transport import KstTransport
+from kst.transport import LEAP_RIG, KstTransport
 
 VERSION = "1"
 ABILITIES = ("watchdog", "stop", "contact", "tool", "soft", "float", "guide", "state")
@@ -155,7 +155,7 @@ class StopChannel:
 
     def __init__(self, host: str, port: int, session: str, timeout: float) -> None:
         self._address = host, port
-        self._transport = KstTransport.connect(host, port, timeout)
+        self._transport = KstTransport.connect(host, port, timeout, LEAP_RIG)
         self._transport.send(f"lrChannel_{session}_", timeout)
         answer = self._transport.receive(self._transport.monotonic() + timeout)
         if answer is None or answer.kind is not ReplyKind.OK:
@@ -171,7 +171,7 @@ class StopChannel:
         try:
             self._transport.send(STOP.line, SEND_S)
         except (KstError, RuntimeError):  # two threads may have waited for the same socket
-            other = KstTransport.connect(*self._address, SEND_S)
+            other = KstTransport.connect(*self._address, SEND_S, LEAP_RIG)
             other.send(STOP.line, SEND_S)
             other.receive(other.monotonic() + SEND_S)  # a socket closed before could take the word back
 

@@ -38,7 +38,7 @@ from kst.errors import (
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
 from kst.session import ARRIVED_RAD, KstSession, KstTiming, LinkCounts
 from kst.stranger import stranger
-from kst.transport import KstTransport
+from kst.transport import LEAP_RIG, TOOLBOX, KstTransport
 
 LATE_END_S = 2.0  # the final word of a motion comes sooner after the arrival than this, or not at all [s]
 EVENT_S = 0.02  # the reason of a stop comes so long after the stop itself at most [s]
@@ -125,7 +125,8 @@ class KstClient:
         if not isinstance(tool, ToolTransform):
             tool = ToolTransform(np.eye(4) if tool is None else tool)
         timing = KstTiming() if timing is None else timing
-        transport = KstTransport.connect(host, port, timeout)
+        program = TOOLBOX if application is None else LEAP_RIG
+        transport = KstTransport.connect(host, port, timeout, program)
         session = KstSession(transport, timing)
         client = cls(session, tool, LBR_IIWA_LIMITS if limits is None else limits)
         address = f"{host}:{port}"
@@ -144,19 +145,19 @@ class KstClient:
                 raise ServerBusy(f"{address} is held by {holder}; end that client", address=address) from error
             if transport.is_foreign:
                 what = stranger(address, "the toolbox's server", transport.heard)
-                cure = "check address and port, and the version of MatlabToolboxServer"
+                cure = f"check address and port, and the version of {program}"
                 raise ForeignServer(f"{what}; {cure}", address=address, answer=transport.heard) from error
             if ended and not isinstance(error, UnexpectedReply):
                 raise NoServer(
                     f"the connection to {address} was closed without a word: the application on the controller ends, or"
-                    " another program has this port, such as one with TLS; start MatlabToolboxServer on the smartPad"
-                    " again (it waits 60 s for a client)",
+                    f" another program has this port, such as one with TLS; start {program} on the smartPad again"
+                    f"{' (it waits 60 s for a client)' if program == TOOLBOX else ''}",
                     address=address,
                 ) from error
             if session.counts.answered == 0 and not isinstance(error, UnexpectedReply):
                 raise ServerBusy(
                     f"{address} is open but silent for {timeout:g} s: another client is connected, or the server lost"
-                    " one and no longer reads; end and start MatlabToolboxServer on the smartPad",
+                    f" one and no longer reads; end and start {program} on the smartPad",
                     address=address,
                 ) from error
             raise
@@ -189,6 +190,10 @@ class KstClient:
         self._application, self.abilities = settings, hello.abilities
         self._ask(application.watchdog(settings))
         self._channel = StopChannel(host, port, hello.session, timeout)
+
+    @property
+    def _program(self) -> str:
+        return TOOLBOX if self._application is None else LEAP_RIG
 
     @property
     def server(self) -> str:
@@ -694,10 +699,10 @@ class KstClient:
                 raise
             raise ToolNotAttached(
                 "the server answers but does not attach the tool: its main program has ended, or it is older than"
-                " version 1.7; restart MatlabToolboxServer on the smartPad"
+                f" version 1.7; restart {self._program} on the smartPad"
             ) from error
         if reply.kind is ReplyKind.NAK:
-            raise ToolNotAttached(f"the controller refused the tool `{command.line}`; restart MatlabToolboxServer")
+            raise ToolNotAttached(f"the controller refused the tool `{command.line}`; restart {self._program}")
         if reply.kind is ReplyKind.NO:
             raise ToolNotAttached(f"the robot refused the tool `{command.line}`: {reply.reason}")
         if weighs:

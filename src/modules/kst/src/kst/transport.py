@@ -16,15 +16,17 @@ from kst.errors import ConnectionLost, NoServer
 
 USER_TIMEOUT_S = 3.0  # a link whose peer has not confirmed sent bytes for this long is lost [s]
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 2))
-_RECONNECT = "look after the arm, restart MatlabToolboxServer on the smartPad and connect again"
+TOOLBOX, LEAP_RIG = "MatlabToolboxServer", "LeapRigServer"
+"""The programs on the robot's controller, as the smartPad names them."""
 
 
 class KstTransport:
     """One TCP connection; used from one thread, except `abort`. Every use of a lost link raises ConnectionLost.
     `monotonic`: the time in which it waits [s]; another transport may bring its own. `heard`: the first bytes that
-    came."""
+    came; `program`: on the robot's controller."""
 
     monotonic = staticmethod(time.monotonic)
+    program = TOOLBOX
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
@@ -47,23 +49,28 @@ class KstTransport:
         self.ended_by_peer = False
 
     @classmethod
-    def connect(cls, host: str, port: int, timeout: float) -> KstTransport:
+    def connect(cls, host: str, port: int, timeout: float, program: str = TOOLBOX) -> KstTransport:
         """Connects within `timeout` seconds; NoServer: nobody listens there, or the address is unreachable."""
         address = f"{host}:{port}"
+        server, waits = "toolbox server", " (it waits 60 s for a client)"
+        if program != TOOLBOX:
+            server, waits = "robot application", ""
         try:
             connected = socket.create_connection((host, port), timeout)
         except (OSError, OverflowError) as error:
             raise NoServer(
-                f"no toolbox server at {address} ({error}): start MatlabToolboxServer on the smartPad (it waits"
-                " 60 s for a client) and check cable and address",
+                f"no {server} at {address} ({error}): start {program} on the smartPad{waits} and check cable and"
+                " address",
                 address=address,
             ) from error
         if connected.getsockname() == connected.getpeername():
             # The kernel may give a free port of this machine to the connecting socket itself.
             connected.close()
-            what = f"no toolbox server at {address}: the socket connected to itself; start the server"
+            what = f"no {server} at {address}: the socket connected to itself; start the server"
             raise NoServer(what, address=address)
-        return cls(connected)
+        transport = cls(connected)
+        transport.program = program
+        return transport
 
     def send(self, line: str, timeout: float) -> None:
         """Writes the line and its line feed; a peer that takes it only in part within `timeout` seconds is lost."""
@@ -175,7 +182,8 @@ class KstTransport:
         if self._aborted.is_set():
             self._lost = self._lost or "the connection was aborted on this side"
         if self._lost is not None:
-            raise ConnectionLost(f"{self._lost}; {_RECONNECT}")
+            cure = f"look after the arm, restart {self.program} on the smartPad and connect again"
+            raise ConnectionLost(f"{self._lost}; {cure}")
 
     def _shut_down(self) -> None:
         # Not close(): another thread may be waiting on this descriptor, and its number could be given to a new file.
