@@ -109,7 +109,7 @@ def test_each_release_keeps_a_way_point_and_they_are_played_back(guided, monkeyp
     assert record() == 0 and arm.server.move is None
     np.testing.assert_allclose(stored(), HOME.q + np.outer(range(1, len(stored()) + 1), STEP), atol=1e-9)
     said = capsys.readouterr().out
-    assert len(stored()) == 3 and said.count("Hold the enabling switch") == 1 and "3 way points are in " in said
+    assert len(stored()) == 3 and said.count("Hold the enabling switch") == 1 and "wave.yaml has 3 way points." in said
     with pytest.raises(RigError, match="wave.yaml exists"):
         record()
     arm.asked.clear()
@@ -163,7 +163,7 @@ def test_what_cannot_be_stored_is_said_before_or_shown(guided, monkeypatch, caps
     with pytest.raises(RigError, match="wave.yaml cannot be written: No space left on device"):
         record()
     shown = capsys.readouterr().out
-    folder.joinpath("wave.yaml").write_text(shown[shown.index("points are kept.") + len("points are kept.") :])
+    folder.joinpath("wave.yaml").write_text(shown[shown.index("1 way point kept.") + len("1 way point kept.") :])
     assert len(stored()) == 1, "what is shown can be stored by hand"
 
 

@@ -58,7 +58,7 @@ def _record(options: argparse.Namespace) -> int:
         if not points or np.max(np.abs(q - points[-1])) > SAME_RAD:
             points.append(q)
 
-    fault = _guide(keep, options.path, lambda: print(f"{len(points)} points are kept."))
+    fault = _guide(keep, options.path, lambda: print(f"{_counted(len(points))} kept."))
     if not points:
         raise RigError(f"No way point was kept. {fault}".strip())
     kept = reduced(np.array(points)) if options.path else np.array(points)
@@ -68,7 +68,7 @@ def _record(options: argparse.Namespace) -> int:
     except OSError as error:
         print(content)
         raise RigError(f"{path} cannot be written: {error.strerror}; what belongs into it is above.") from error
-    print(f"{len(kept)} way points are in {path}.")
+    print(f"{path} has {_counted(len(kept))}.")
     if fault:
         print(fault, file=sys.stderr)
     return 1 if fault else 0
@@ -113,6 +113,10 @@ def _guide(keep: Callable[[np.ndarray], None], path: bool, released: Callable[[]
     return ""
 
 
+def _counted(points: int) -> str:
+    return f"{points} way point{'s' * (points != 1)}"
+
+
 def _list(_: argparse.Namespace) -> int:
     folder = user_file(KIND, "any").parent
     files = sorted(folder.glob("*.yaml"))
@@ -136,7 +140,7 @@ def _play(options: argparse.Namespace) -> int:
         if interrupted or not result.success:
             print(f"Way point {number} of {len(points)}: {result.message}", file=sys.stderr)
             return INTERRUPTED if interrupted else 1
-    print(f"The arm is at the last of {len(points)} way points.")
+    print(f"The arm is at the last way point, number {len(points)}.")
     return 0
 
 

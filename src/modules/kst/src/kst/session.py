@@ -274,7 +274,7 @@ class KstSession:
                 self._unacknowledged = self.doubt = False
         raise ReplyTimeout(
             f"`{command.word}` was not answered in {self.timing.tries} tries though the server reads: its main thread"
-            f" is stuck or has ended; look at the smartPad and restart {self._transport.program} there",
+            f" is stuck or has ended; look at the smartPad and restart {self.transport.program} there",
             command=command.word,
         )
 
