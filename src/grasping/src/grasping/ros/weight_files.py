@@ -55,7 +55,7 @@ def load_refinement(name: str, rig: Origin) -> Mapping[str, PoseTaste]:
     kinds, origin = taste_file.load(_content(path), None if name.startswith("/") else _listed(path))
     mismatch = origin.mismatch(rig)
     if mismatch:
-        raise WeightsError(f"The refinement in {path} {mismatch}.")
+        raise WeightsError(f"The refinement in {path} was {mismatch}. Train one on episodes of this rig.")
     return kinds
 
 
