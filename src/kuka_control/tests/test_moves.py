@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from loop_world import DT, HOME, SLOW, World, block, planner, rig, shifted
 
+from common import clock
 from common.modes import Mode
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
@@ -18,7 +19,7 @@ from kuka_control.limits.line_plan import MoveRefused, plan_line
 from kuka_control.loop import assembly
 from kuka_control.loop.commands import Servo
 from kuka_control.loop.line_stream import LineStream
-from kuka_control.loop.moves import MoveGoal, MoveState, ProgramMotion
+from kuka_control.loop.moves import MoveGoal, MoveProgress, MoveState, ProgramMotion
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 
@@ -349,6 +350,64 @@ def test_of_two_motions_that_are_asked_for_at_once_one_is_refused(monkeypatch):
     server._goal(handle)
     assert server.move.guided and not server.guided, "the hand guides as soon as the control loop has begun that"
     assert "has not ended" in handle.said, "the refusal reaches the program"
+
+
+@pytest.fixture
+def asked_to_guide(monkeypatch):
+    """A server of kuka/move, at home, that a service has asked for hand guiding; with the queue that it waits at."""
+    from kuka_control.ros import moves
+
+    monkeypatch.setattr(moves.actionlib, "ActionServer", lambda *_, **__: SimpleNamespace(start=lambda: None))
+    step = SimpleNamespace(mode=Mode.HOME, reason="", move=None)
+    server, verdict = moves.MoveServer(None, lambda: (step, HOME.q), stops=True, unguided=None), clock.SimpleQueue()
+    server._ask(server._guided(*server._begin(True)), verdict=verdict)
+    return server, verdict
+
+
+def shown(server, number, state, sentence=""):
+    progress = MoveProgress(number, state, sentence)
+    server.show(SimpleNamespace(move=progress, transitions=(), reason=""), HOME.q)
+
+
+@pytest.mark.ros
+def test_the_end_of_a_hand_guiding_is_told_to_nobody_who_asks_at_that_moment(asked_to_guide):
+    server, first = asked_to_guide
+    second, lock = clock.SimpleQueue(), server._lock
+
+    class Lock:
+        """Lets another one ask as soon as the motion has ended."""
+
+        def __enter__(self):
+            lock.acquire()
+
+        def __exit__(self, *_):
+            lock.release()
+            if server.move is None:
+                server._ask(server._guided(2, HOME.q), verdict=second)
+
+    server._lock = Lock()
+    shown(server, 1, MoveState.ABORTED, "The robot refused it.")
+    assert first.get_nowait() == "The robot refused it." and second.empty()
+    shown(server, 2, MoveState.RUNNING)
+    assert second.get_nowait() is None
+
+
+@pytest.mark.ros
+def test_who_waits_too_long_cancels_no_motion_of_another(asked_to_guide, monkeypatch):
+    from kuka_control.ros import moves
+
+    server, _ = asked_to_guide
+
+    class Late(clock.SimpleQueue):
+        def get(self, timeout):
+            shown(server, server.move.number, MoveState.DONE)
+            server._ask(ProgramMotion(9, "aside", HOME.q, 0.1))
+            raise clock.Empty
+
+    shown(server, 1, MoveState.DONE)
+    monkeypatch.setattr(moves.clock, "SimpleQueue", Late)
+    assert not server.guide(True).success
+    assert server.move.number == 9 and not server.move.cancelled
 
 
 @pytest.mark.ros

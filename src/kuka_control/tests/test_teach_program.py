@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,6 +141,25 @@ def test_an_arm_that_cannot_be_guided_says_why_and_nothing_is_stored(guided, mon
     assert not teach_program.user_file(teach_program.KIND, "wave").exists()
 
 
+def test_nobody_is_asked_to_move_an_arm_whose_robot_refuses_it(guided, monkeypatch, capsys):
+    arm = guided(unguided=None)
+    interrupted_after(monkeypatch, 10.0)
+    show, begun = arm.server.show, []
+
+    def refused(step, joints):
+        if step.move is not None:
+            begun.append(clock.monotonic())
+            state = MoveState.ABORTED if begun[-1] - begun[0] > 0.1 else MoveState.RUNNING
+            progress = MoveProgress(step.move.number, state, "The robot refused it.")
+            step = replace(step, move=progress, transitions=("begun",) if len(begun) == 1 else ())
+        show(step, joints)
+
+    monkeypatch.setattr(arm.server, "show", refused)
+    with pytest.raises(RigError, match="No way point was kept. The robot refused it."):
+        record()
+    assert not capsys.readouterr().out
+
+
 def test_what_cannot_be_stored_is_said_before_or_shown(guided, monkeypatch, capsys):
     arm = guided(unguided=None)
     assert teach_program._list(argparse.Namespace()) == 0 and "No motion is kept in " in capsys.readouterr().out
@@ -198,4 +218,4 @@ def test_the_service_guides_and_ends_it_and_another_motion_waits(guided, monkeyp
     clock.sleep(0.1)
     monkeypatch.setattr(server, "show", lambda *_: clock.sleep(3600.0))
     refused = server.guide(True)
-    assert not refused.success and "has done nothing for 2 s" in refused.message and server.move is None
+    assert not refused.success and "has done nothing for 2 s" in refused.message and server.move.cancelled

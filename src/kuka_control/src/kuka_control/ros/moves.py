@@ -62,8 +62,9 @@ class MoveServer:
                 self.abort(f"The controller did not start the motion. {step.reason}")
         elif progress.state is MoveState.RUNNING:
             self._sure = now + REFUSAL_S if step.transitions else self._sure
-            if now >= self._sure:
-                self._tell(None)
+            if move.guided and now < self._sure:
+                return
+            self._tell(None)
             if now >= self._due and handle is not None:
                 self._due = now + FEEDBACK_S
                 handle.publish_feedback(MoveFeedback(progress.fraction, progress.left, joints.tolist()))
@@ -78,7 +79,7 @@ class MoveServer:
     def _end(self, state: MoveState, sentence: str, joints: np.ndarray) -> None:
         with self._lock:
             handle, self._handle, self.move = self._handle, None, None
-        self._tell(None if state is MoveState.DONE else sentence)
+            self._tell(None if state is MoveState.DONE else sentence)  # before another one may ask
         result = MoveResult(state is MoveState.DONE, sentence, joints.tolist())
         if handle is not None:
             ends = {MoveState.DONE: handle.set_succeeded, MoveState.CANCELLED: handle.set_canceled}
@@ -106,24 +107,28 @@ class MoveServer:
 
     def guide(self, on: bool) -> SwitchReply:
         """Lets a hand guide the arm, or ends that; waits until the control loop and the robot have begun it."""
-        move = self.move
         if not on:
-            with self._lock:
-                if move is not None and move.guided and move is self.move:
-                    self.move = replace(move, cancelled=True)
+            self._end_guiding(self.move)
             return SwitchReply(True, "No hand guides the arm any more.")
         verdict: clock.SimpleQueue[str | None] = clock.SimpleQueue()
+        move = None
         try:
-            self._ask(self._guided(*self._begin(True)), verdict=verdict)
+            move = self._guided(*self._begin(True))
+            self._ask(move, verdict=verdict)
             refusal = verdict.get(timeout=2.0 * START_S)
         except MoveRefused as error:
             refusal = str(error)
         except clock.Empty:
             refusal = f"The controller has done nothing for {2.0 * START_S:g} s; the hand guiding is cancelled."
-            self.abort(refusal)
+            self._end_guiding(move)
         if refusal is not None:
             return SwitchReply(False, refusal)
         return SwitchReply(True, "Hold the enabling switch and move the arm; its release ends that.")
+
+    def _end_guiding(self, move: ProgramMotion | None) -> None:
+        with self._lock:
+            if move is not None and move.guided and move is self.move:
+                self.move = replace(move, cancelled=True)
 
     @property
     def guided(self) -> bool:
