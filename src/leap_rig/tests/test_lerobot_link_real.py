@@ -37,9 +37,11 @@ class FakeRig:
     def __init__(self, names, moves=True):
         self.state, self.moves, self.taken = {name: 0.25 * i for i, name in enumerate(names)}, moves, []
         self.fault = self.refused = ""
+        self.clients = set()
         self.intent = dict(zip(actions.ACTION, (0.5, 0.1, 0.4, 0.0, 0.0, 0.0, 1.0, 0.1, 0.2, 0.3, 0.4)))
 
-    def answer(self, request):
+    def answer(self, request, client):
+        self.clients.add(client)
         if self.fault:
             raise DeviceError(self.fault)
         if request["do"] == "hello":
@@ -121,6 +123,7 @@ def test_too_many_clients_are_turned_away(rig, link):
         client.connect()
     with pytest.raises(link.RigLinkError, match="closed"):
         clients[-1].connect()
+    assert len(rig.clients) == MOST_CLIENTS, "each one is told from the others"
 
 
 def test_a_path_in_use_is_refused_and_that_of_a_killed_server_is_taken(rig, tmp_path, link):

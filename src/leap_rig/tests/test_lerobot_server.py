@@ -164,6 +164,9 @@ def test_each_program_may_steer_from_its_first_action_but_not_again_once_it_was_
         assert rig.answer(act)[0]["refused"] == said
         rig.answer(act)
         assert asked == [True] * program
+    rig.answer({"do": "hello"}, client=2)
+    rig.answer(act)
+    assert len(asked) == 2, "another program that comes lets the one that was stopped steer no more"
     reading = desk(moves=False)
     reading.answer({"do": "hello"})
     reading.answer(act)

@@ -18,10 +18,11 @@ MOST_CLIENTS = 4
 
 
 class LerobotServer:
-    """Gives each request to `answer`; a RigError of it, or of the request, is answered as `fault`, a sentence."""
+    """Gives each request to `answer`, with the number of its connection; a RigError of it, or of the request, is
+    answered as `fault`, a sentence."""
 
     def __init__(
-        self, path: Path, answer: Callable[[Mapping[str, Any]], tuple[Mapping[str, Any], Mapping[str, bytes]]]
+        self, path: Path, answer: Callable[[Mapping[str, Any], int], tuple[Mapping[str, Any], Mapping[str, bytes]]]
     ) -> None:
         self._path, self._answer = path, answer
         self._socket = _listening(path)
@@ -73,7 +74,8 @@ class LerobotServer:
         connection.settimeout(MESSAGE_S)
         goes_on = True
         try:
-            said, images = self._answer(unpacked(lambda count: _exactly(connection, count))[0])
+            request = unpacked(lambda count: _exactly(connection, count))[0]
+            said, images = self._answer(request, connection.fileno())
         except LerobotWireFault as error:
             said, images, goes_on = {"fault": str(error)}, {}, False
         except RigError as error:

@@ -54,7 +54,7 @@ class RigDesk:
         self._lock = clock.Lock()
         self._newest = NewestMessages()
         self._acted = self._acts_since = float("-inf")
-        self._asks = False  # for the permission to steer, which ends where no program acts: at its first action
+        self._asking: set[int] = set()  # who asks to steer at its first action: the permission ends where nobody acts
         if moves:
             self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
         for topic, kind in (
@@ -68,19 +68,20 @@ class RigDesk:
         for name, topic in cameras.items():
             self._newest.hear(topic, Image, name)
 
-    def answer(self, request: Mapping[str, Any]) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
-        """Answers one request; raises RigError where it cannot."""
+    def answer(self, request: Mapping[str, Any], client: int = 0) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
+        """Answers one request of a client, by the number of its connection; raises RigError where it cannot."""
         what = request.get("do")
         if what == "hello":
-            with self._lock:
-                self._asks = self._moves
+            if self._moves:
+                with self._lock:
+                    self._asking.add(client)
             return {"moves": self._moves, "action": ACTION, "cameras": list(self._cameras)}, {}
         if what == "observe":
             return {"state": self._state()}, {name: self._image(name) for name in self._cameras}
         if what == "intent":
             return {"action": self._intent()}, {}
         if what == "act" and isinstance(request.get("action"), dict):
-            return {"refused": self._act(request["action"])}, {}
+            return {"refused": self._act(request["action"], client)}, {}
         raise DeviceError(f"The request is {what!r}, but must be hello, observe, intent, or act with an action.")
 
     def _state(self) -> dict[str, float]:
@@ -116,7 +117,7 @@ class RigDesk:
             fingers = self._angles()
         return {**dict(zip(POSE, tool)), **dict(zip(FINGERS, fingers))}
 
-    def _act(self, action: Mapping[str, Any]) -> str:
+    def _act(self, action: Mapping[str, Any], client: int) -> str:
         """Takes an action; returns why it does not, a sentence, or nothing."""
         if not self._moves:
             return "lerobot_server.py runs without --moves, so no action is taken."
@@ -129,7 +130,8 @@ class RigDesk:
         fingers = [float(action[name]) for name in FINGERS]
         header = Header(0, rospy.Time.now(), self._newest.frames(BASE))
         with self._lock:
-            asks, self._asks = self._asks, False
+            asks = client in self._asking
+            self._asking.discard(client)
         if asks:
             answer = call(RUN_POLICY, SetBool, True, timeout=ANSWER_S)
             if not answer.success:
