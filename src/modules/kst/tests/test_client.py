@@ -8,6 +8,7 @@ import pytest
 
 from common import clock
 from common.poses import translation
+from kst.application import ApplicationSettings
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback
 from kst.errors import (
@@ -99,10 +100,18 @@ def test_a_server_that_does_not_attach_the_tool(server, takes, answer, seconds):
 
 
 @pytest.mark.parametrize("count", [1, 50])
-def test_something_else_listens_there(server, count):
-    server.answers = {"TFtrans": b"HTTP/1.1 400 Bad Request\r\nServer: x\r\n\r\n" * count}
-    with pytest.raises(ForeignServer) as caught:
-        KstClient.connect("127.0.0.1", server.port)
+@pytest.mark.parametrize(
+    ("application", "expected", "program"),
+    [
+        (None, "the toolbox's server", "MatlabToolboxServer"),
+        (ApplicationSettings(), "the robot application", "LeapRigServer"),
+    ],
+)
+def test_something_else_listens_there(server, count, application, expected, program):
+    web = b"HTTP/1.1 400 Bad Request\r\nServer: x\r\n\r\n" * count
+    server.answers = {"TFtrans": web, "lrHello": web}
+    with pytest.raises(ForeignServer, match=f"is not {expected} .* and the version of {program}") as caught:
+        KstClient.connect("127.0.0.1", server.port, application=application)
     assert caught.value.address == f"127.0.0.1:{server.port}"
     assert caught.value.answer.startswith(b"HTTP/1.1 400 Bad Request")
 

@@ -67,7 +67,7 @@ def _record(options: argparse.Namespace) -> int:
         write_whole(path, content)
     except OSError as error:
         print(content)
-        raise RigError(f"{path} cannot be written: {error.strerror}; what belongs into it is above.") from error
+        raise RigError(f"{path} cannot be written: {error.strerror}; what belongs in it is printed above.") from error
     print(f"{path} has {_counted(len(kept))}.")
     if fault:
         print(fault, file=sys.stderr)
@@ -81,7 +81,6 @@ def _guide(keep: Callable[[np.ndarray], None], path: bool, released: Callable[[]
     if not client.wait_for_server(rospy.Duration(SERVER_S)):
         raise DeviceError("Nobody offers kuka/move: start a controller first, such as with make demo.")
     heard = [0.0]
-
     said: list[str] = []
 
     def take(feedback: MoveFeedback) -> None:

@@ -144,7 +144,8 @@ class KstClient:
             if holder is not None:
                 raise ServerBusy(f"{address} is held by {holder}; end that client", address=address) from error
             if transport.is_foreign:
-                what = stranger(address, "the toolbox's server", transport.heard)
+                expected = "the toolbox's server" if application is None else "the robot application"
+                what = stranger(address, expected, transport.heard)
                 cure = f"check address and port, and the version of {program}"
                 raise ForeignServer(f"{what}; {cure}", address=address, answer=transport.heard) from error
             if ended and not isinstance(error, UnexpectedReply):

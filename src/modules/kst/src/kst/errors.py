@@ -24,7 +24,8 @@ class NoServer(KstError):
 
 
 class ForeignServer(KstError):
-    """What answers at `address` is not the toolbox's server: it says `answer`, its first bytes."""
+    """What answers at `address` is neither the toolbox's server nor the robot application: it says `answer`, its first
+    bytes."""
 
     address: str = ""
     answer: bytes = b""
