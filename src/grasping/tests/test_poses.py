@@ -257,7 +257,9 @@ def test_the_chosen_are_in_order_and_tilt_no_further_than_allowed():
     for most in (0.02, 0.3, MAX_TILT_RAD):
         found = choose(network, of, OPEN_M, most)
         assert (np.diff(found.rank) <= 0.0).all() and (found.rank <= found.probability).all()
-        assert tilts(found.of, of.frame).max() <= most + 1e-5
+        tilt = tilts(found.of, of.frame)
+        assert tilt.max() <= most + 1e-5
+        np.testing.assert_array_equal((found.probability - found.rank)[tilt <= ABOVE_RAD], 0.0)
         assert ((found.probability > 0.0) & (found.probability < 1.0)).all()
     again = choose(network, of, OPEN_M, MAX_TILT_RAD)
     np.testing.assert_array_equal(again.probability, found.probability)
