@@ -338,7 +338,8 @@ class TestNodes:
         node._brake()
         assert clock.monotonic() - begin == pytest.approx(1.0, abs=0.015)
 
-    def test_a_robot_that_does_not_answer_is_probed_for_twelve_seconds_and_then_connected_anew(self, node):
+    @pytest.mark.parametrize("abilities", [(), ("stop",)])
+    def test_a_robot_that_does_not_answer_is_probed_for_twelve_seconds_and_then_connected_anew(self, node, abilities):
         times = [clock.monotonic()]
 
         def again():
@@ -346,9 +347,11 @@ class TestNodes:
             node._switches.request_exit()
             raise NoServer("nobody answers")
 
-        node._link = SimpleNamespace(arm=None, close=lambda: times.append(clock.monotonic()), again=again)
+        arm = SimpleNamespace(abilities=abilities)
+        node._link = SimpleNamespace(arm=arm, close=lambda: times.append(clock.monotonic()), again=again)
         assert not node._stand_by(ReplyTimeout("silent"))
         assert np.diff(times).tolist() == [pytest.approx(12.5, abs=0.1), pytest.approx(0.5, abs=0.06)]
+        assert ("end MatlabToolboxServer" in node._loop.reason) == (not abilities), "only the toolbox's may be deaf"
 
     def test_a_motion_that_the_loop_does_not_start_is_aborted_after_a_second(self, ros, monkeypatch):
         from kuka_control.ros.moves import MoveServer

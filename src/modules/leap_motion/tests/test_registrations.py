@@ -85,7 +85,7 @@ def test_what_is_no_such_file_is_refused(content):
 
 @pytest.mark.parametrize("name", ["../x"])
 def test_a_name_that_is_none_of_a_file_is_refused(name):
-    with pytest.raises(RigError, match="tracker's name"):
+    with pytest.raises(RigError, match="name of the tracker"):
         load(name, NOW)
 
 
