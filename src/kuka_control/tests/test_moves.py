@@ -370,7 +370,7 @@ def shown(server, number, state, sentence=""):
 
 
 @pytest.mark.ros
-def test_the_end_of_a_hand_guiding_is_told_to_nobody_who_asks_at_that_moment(asked_to_guide):
+def test_the_end_of_a_hand_guiding_reaches_nobody_who_asks_at_that_moment(asked_to_guide):
     server, first = asked_to_guide
     second, lock = clock.SimpleQueue(), server._lock
 

@@ -137,7 +137,7 @@ def test_an_arm_that_cannot_be_guided_says_why_and_nothing_is_stored(guided, mon
     interrupted_after(monkeypatch, 10.0)
     with pytest.raises(RigError, match="No way point was kept. Hand guiding is refused: robot_server is toolbox"):
         record()
-    assert not capsys.readouterr().out, "nobody is told to move an arm that cannot be moved"
+    assert not capsys.readouterr().out, "nobody is asked to move an arm that cannot be moved"
     assert not teach_program.user_file(teach_program.KIND, "wave").exists()
 
 

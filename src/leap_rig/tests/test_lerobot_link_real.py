@@ -123,7 +123,7 @@ def test_too_many_clients_are_turned_away(rig, link):
         client.connect()
     with pytest.raises(link.RigLinkError, match="closed"):
         clients[-1].connect()
-    assert len(rig.clients) == MOST_CLIENTS, "each one is told from the others"
+    assert len(rig.clients) == MOST_CLIENTS, "each one has a number of its own"
 
 
 def test_a_path_in_use_is_refused_and_that_of_a_killed_server_is_taken(rig, tmp_path, link):

@@ -326,7 +326,7 @@ def test_silence_is_answered_alike(ours):
     assert said == ["event_servo mode begins_\n", "event_the arm brakes and holds: the client was silent_\n"]
     assert client.ask(HOME) == "no_jp_held: the client was silent_\n"
     assert client.ask("lrResume_") == "ok_lrResume_\n"
-    assert second.hear() == "event_servo mode goes on_\n"
+    assert second.hear() == "event_servo mode continues_\n"
 
 
 def test_contact_is_answered_alike(ours):

@@ -60,7 +60,7 @@ NEWER = {
 }
 """Feedback that servers before May 2019 lack in servo mode: its name, and its substitute."""
 
-ORDINARY = re.compile("servo mode (begins|goes on|ends: the client's word)|the motion is (paused|resumed)$")
+ORDINARY = re.compile("servo mode (begins|continues|ends: the client's word)|the motion is (paused|resumed)$")
 """What the robot says of that which this controller has asked for; no remark."""
 
 UNGUARDED = (

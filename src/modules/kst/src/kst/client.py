@@ -193,10 +193,6 @@ class KstClient:
         self._channel = StopChannel(host, port, hello.session, timeout)
 
     @property
-    def _program(self) -> str:
-        return TOOLBOX if self._application is None else LEAP_RIG
-
-    @property
     def server(self) -> str:
         """What is spoken to, in words."""
         return "toolbox" if self._application is None else f"LeapRigServer {application.VERSION}"
@@ -700,10 +696,12 @@ class KstClient:
                 raise
             raise ToolNotAttached(
                 "the server answers but does not attach the tool: its main program has ended, or it is older than"
-                f" version 1.7; restart {self._program} on the smartPad"
+                f" version 1.7; restart {self._session.transport.program} on the smartPad"
             ) from error
         if reply.kind is ReplyKind.NAK:
-            raise ToolNotAttached(f"the controller refused the tool `{command.line}`; restart {self._program}")
+            raise ToolNotAttached(
+                f"the controller refused the tool `{command.line}`; restart {self._session.transport.program}"
+            )
         if reply.kind is ReplyKind.NO:
             raise ToolNotAttached(f"the robot refused the tool `{command.line}`: {reply.reason}")
         if weighs:

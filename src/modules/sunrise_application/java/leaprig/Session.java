@@ -719,7 +719,7 @@ final class Session {
         } else if (mode == Mode.HELD && wanted == Demand.RESUME) {
             if (servo.resume(goals, now)) {
                 mode = Mode.SERVO;
-                tell("servo mode goes on");
+                tell("servo mode continues");
             } else {
                 demand.compareAndSet(Demand.NONE, Demand.RESUME);
             }

@@ -460,7 +460,7 @@ class LeapRigApplication(Application):
         elif wanted == "lrResume":
             self._brake = self._arm.destination = None
             self._goals.joints = self._arm.goal = self._arm.q.copy()
-            self._tell("servo mode goes on")
+            self._tell("servo mode continues")
         if self._brake is not None:
             self._brake.advance(CYCLE_S)
             self._arm.destination = self._brake.destination
