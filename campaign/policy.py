@@ -64,11 +64,15 @@ def run(graph: Graph, options: argparse.Namespace) -> dict[str, Any]:
     }
     if options.session:
         words = str(options.session.resolve()), "--task", TASK, "--operator", "simulated", "--camera", "rgbd"
-        recorder = graph.run("leap_rig", "record_episodes.py", *words, "--countdown", "0", "--longest", "60")
-    graph.launch("leap_rig", "demo.launch", **arguments)
-    graph.wait_until(lambda: progress.step, real.START_S, "the first round")
+        recorder = graph.run("leap_rig", "record_episodes.py", *words, "--countdown", "0")
+    rig = graph.launch("leap_rig", "demo.launch", **arguments)
+
+    def ended() -> bool:
+        return progress.step == "done" or any(node.returncode is not None for node in rig.nodes)
+
+    graph.wait_until(lambda: progress.step or ended(), real.START_S, "the first round")
     progress.begin()
-    graph.wait_until(lambda: progress.step == "done", options.rounds * ROUND_S, "the last round")
+    graph.wait_until(ended, options.rounds * ROUND_S, "the last round")
     progress.close()
     if options.session:
         recorder.send_signal(signal.SIGINT)

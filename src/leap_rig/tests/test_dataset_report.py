@@ -1,10 +1,13 @@
 """The report on a dataset: what is refused, by name, and what is far from the other episodes."""
 
+import base64
 import json
 import math
+import re
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from recordings import START, stored, write_recording
@@ -12,7 +15,8 @@ from recordings import START, stored, write_recording
 from common.poses import pose
 from leap_rig.recording import quality
 from leap_rig.recording.quality import EpisodeQuality, QualityFault, QualityLimits
-from leap_rig.recording.quality_page import page
+from leap_rig.recording.quality_page import page, worst_first
+from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.session import EpisodeLabel, episode_folder, write_label
 
 COLOR, JOINTS = "/camera/rgb/image_raw", "/kuka/joint_positions"
@@ -109,7 +113,7 @@ class _Tags(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.loaded += [value for name, value in attributes if name in ("src", "href")]
-        if tag not in ("meta", "img", "br", "circle", "polyline"):
+        if tag not in ("meta", "img", "input", "br", "circle", "polyline"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -123,12 +127,13 @@ class _Tags(HTMLParser):
 def test_the_page_stands_alone_and_escapes_what_it_shows():
     one = known("<b>episode", duration=2.0, delay=90.0)
     one.refuse("nan", "3 < 4 rows")
-    one.cameras["<color>"] = quality.CameraQuality(3, 10.0, 0.0, 5.0, 50.0, 3, (b"jpeg",))
+    one.cameras["<color>"] = quality.CameraQuality(3, 10.0, 0.0, 5.0, 50.0, 3, COLOR, (10.0, 12.0))
     one.speed = np.linspace(0.0, 0.2, 1000)
     other = known("second", duration=4.0)
     for i, each in enumerate((one, other)):
         each.starts["<cup>"] = (0.5, 0.1 * i, 0.2)
-    text = page([one, other], [QualityFault("no-success", "none < all")], ["Said & done."], 2)
+    films = {1: {}, 0: {"<color>": (b"one", b"two")}}
+    text = page([one, other], [QualityFault("no-success", "none < all")], ["Said & done."], films)
     parsed = _Tags()
     parsed.feed(text)
     assert parsed.open == [] and all(value.startswith("data:image/jpeg;base64,") for value in parsed.loaded)
@@ -137,8 +142,15 @@ def test_the_page_stands_alone_and_escapes_what_it_shows():
     assert "Not fit for training: 1 episodes are refused." in parsed.text
 
 
+def test_those_with_most_faults_come_first_then_those_with_most_outliers():
+    ones = [known(str(i)) for i in range(5)]
+    ones[1].outliers, ones[3].outliers = ["jerk"], ["jerk", "path"]
+    ones[2].refuse("nan", "3 rows")
+    assert worst_first(ones) == [2, 3, 1, 0, 4]
+
+
 def test_an_empty_report_is_a_page():
-    assert "Fit for training" in page([known("0")], [], [], 0)
+    assert "Fit for training" in page([known("0")], [], [], {})
 
 
 def episode(folder, change=lambda found: found, label="success", seconds=3.0):
@@ -273,8 +285,7 @@ def test_a_good_episode_is_refused_nothing_and_measured(tmp_path):
     assert found.measures["lost"] == found.measures["limited"] == found.measures["missing"] == 0.0
     assert found.starts["tool"] == pytest.approx((0.5, 0.001, 0.3), abs=1e-3)
     camera = found.cameras["color"]
-    assert (camera.count, camera.distinct, len(camera.strip)) == (80, 80, quality.STRIP)
-    assert all(image.startswith(b"\xff\xd8") for image in camera.strip)
+    assert (camera.count, camera.distinct, camera.topic) == (80, 80, COLOR)
 
 
 @pytest.mark.ros
@@ -313,6 +324,62 @@ def test_a_session_is_reported_and_the_exit_code_says_whether_it_is_fit(tmp_path
     assert "no-success: no episode is a success" in capsys.readouterr().out
     with pytest.raises(Exception, match="neither a recording nor a session"):
         reported(tmp_path, "--page", file)
+
+
+def films_of(text):
+    """Returns the films of a page: for each its images, decoded."""
+    found = re.findall(r'<script type="application/json">(.*?)</script>', text)
+    pictures = [[base64.b64decode(image) for image in json.loads(one)] for one in found]
+    return [[cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR) for image in one] for one in pictures]
+
+
+def _brighter(message, t):
+    message.data = bytes([round(60 * t), 0, 0]) * (48 * 64)
+    return message
+
+
+@pytest.mark.ros
+def test_the_worst_are_shown_in_films_from_begin_to_end(tmp_path):
+    session, file = tmp_path / "cups", tmp_path / "report.html"
+    for number in range(2):
+        episode(episode_folder(session, number), of(COLOR, _brighter))
+    reported(session, "--page", file, "--worst", "1")
+    (film,) = films_of(file.read_text())
+    assert {image.shape for image in film} == {(120, 160, 3)}
+    red = [float(image[..., 2].mean()) for image in film]
+    np.testing.assert_allclose(np.diff(red), 60 * quality.FILM_S, atol=7.0)
+    assert red[0] < 7.0 and red[-1] > 160.0
+    reported(session, "--page", file, "--worst", "0")
+    assert films_of(file.read_text()) == []
+
+
+@pytest.mark.ros
+def test_a_long_film_has_its_images_farther_apart(tmp_path, monkeypatch):
+    monkeypatch.setattr(quality, "MOST_IMAGES", 5)
+    folder = episode(tmp_path / "episode_00001", of(COLOR, _brighter))
+    camera = quality.episode_quality(folder, 20, QualityLimits()).cameras["color"]
+    film = [cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR) for image in quality.film(folder, camera)]
+    red = [float(image[..., 2].mean()) for image in film]
+    assert len(red) == 5 and red[0] < 7.0 and red[-1] > 160.0
+
+
+@pytest.mark.ros
+def test_an_image_that_cannot_be_shown_costs_the_film_and_not_the_page(tmp_path, monkeypatch):
+    def spoiled(*_):
+        raise RecordingFault("another encoding")
+        yield
+
+    folder, file = episode(tmp_path / "episode_00001"), tmp_path / "report.html"
+    judged = quality.camera_quality
+
+    def then_spoiled(*arguments):
+        found = judged(*arguments)
+        monkeypatch.setattr(quality, "images", spoiled)
+        return found
+
+    monkeypatch.setattr(quality, "camera_quality", then_spoiled)
+    assert reported(folder, "--page", file) == 0
+    assert films_of(file.read_text()) == [] and "episode_00001" in file.read_text()
 
 
 @pytest.mark.parametrize("limit", ["-1", "nan", "2", "x"])

@@ -9,10 +9,12 @@ pytest.importorskip("rig_msgs.msg")
 import rospy
 
 from common import clock
+from common.errors import RigError
 from common.modes import Mode
 from rig_simulation.files import read_scene
 from rig_simulation.node_parameters import NEEDED, NEVER, ONCE
 from rig_simulation.operator.cup_scenes import cup_scene
+from rig_simulation.operator.pick_and_place import Plan
 from rig_simulation.ros import rounds, scenarios
 from rig_simulation.ros.rounds import PolicyScenario
 
@@ -25,7 +27,7 @@ class Cell:
     def __init__(self, lifts_after=float("inf"), touched=True):
         self.lifts_after, self.touched = lifts_after, touched
         self.asked, self.called, self.told, self.scenes = [], [], [], []
-        self.let_at = float("inf")
+        self.let_at, self.refused = float("inf"), ()
         self.grip, self.center_line, self.mode = np.array([0.4, 0.1, 0.3]), np.array([1.0, 0.0, 0.0]), Mode.HOME
         self.streams = self.following = False
 
@@ -36,7 +38,7 @@ class Cell:
         self.called.append((service, *values))
         if service == "leap_kuka/run_policy":
             self.let_at = clock.monotonic() if values[0] else float("inf")
-        return SimpleNamespace(success=True)
+        return SimpleNamespace(success=service not in self.refused, message="no")
 
     def ask(self, what, **more):
         self.asked.append(what)
@@ -99,6 +101,32 @@ def test_an_operator_takes_over_once_and_gives_back(run):
     cell.streams = True
     assert 15.0 < run(cell, ONCE) < 20.0
     assert cell.told[-1][2]["taken"] == "1" and marks(cell)[-1] == "episodes/success"
+
+
+def test_an_episode_that_ended_by_itself_ends_no_rounds_but_one_that_cannot_begin_does(run):
+    cell = Cell(lifts_after=5.0)
+    cell.refused = ("episodes/success",)
+    run(cell, NEVER, count=2)
+    assert marks(cell) == ["episodes/begin", "episodes/success"] * 2 and cell.told[-1][0] == "done"
+    cell.refused = ("episodes/begin",)
+    with pytest.raises(RigError, match="episodes/begin: no"):
+        run(cell, NEVER)
+
+
+def test_who_takes_over_lets_go_of_what_the_policys_fingers_hold_and_rises_before_coming_down(run):
+    cell = Cell()
+    cell.streams, cell.moves = True, []
+    ask = cell.ask
+
+    def asked(what, **more):
+        cell.moves += [more] if what == "reach" and "curl" in more else []
+        return ask(what, **more)
+
+    cell.ask = asked
+    run(cell, NEEDED)
+    close, open_, rise = cell.moves[:3]
+    assert (close["curl"], open_["curl"], rise["curl"]) == (1.0, 0.0, 0.0)
+    assert close["up"] == open_["up"] == rise["up"] - Plan().clearance
 
 
 def test_a_round_that_is_interrupted_is_neither_good_nor_bad(run, virtual_graph, monkeypatch):

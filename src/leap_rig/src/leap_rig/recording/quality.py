@@ -44,7 +44,8 @@ HEAD = struct.Struct("<III")  # of a message with a header: number, seconds, nan
 BACK_NS = 50_000_000  # between two messages: time that goes back farther was set
 GRID_S = 0.02
 TOOL, TRACKER, CONTROLLER = "observation.tool_pose", "observation.tracker", "observation.controller"
-STRIP = 8  # images of a contact strip
+SAMPLES = 24  # images by which a camera is judged
+FILM_S, MOST_IMAGES = 0.25, 120  # between two images of a film; a longer film has them farther apart
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,8 @@ class CameraQuality:
     sharpness: float  # median variance of the Laplacian; NaN of depth
     contrast: float  # median standard deviation, of 255
     distinct: int
-    strip: tuple[bytes, ...]  # JPEG
+    topic: str
+    span: tuple[float, float]  # first and last row, since the epoch [s]
 
 
 @dataclass
@@ -364,23 +366,32 @@ def _judge_cameras(folder: Path, times: np.ndarray, found: EpisodeQuality, limit
 
 def camera_quality(folder: Path, topic: str, times: np.ndarray, stamps: np.ndarray, distinct: int) -> CameraQuality:
     """Returns what the images of a topic are worth at the rows' times [s]; `stamps` of all images [ns]."""
-    samples, width = 3 * STRIP, 160
-    at = times[np.unique(np.linspace(0, len(times) - 1, samples).round().astype(int))]
-    seen = list(images(folder, topic, at))
-    sharp, contrast, strip = [], [], []
-    for i, image in enumerate(seen):
+    sharp, contrast = [], []
+    for image in images(folder, topic, _spread(times, SAMPLES)):
         grey = image.max(axis=2) if topic == topics.DEPTH else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         contrast.append(float(grey.std()))
         if topic != topics.DEPTH:
             sharp.append(float(cv2.Laplacian(grey, cv2.CV_64F).var()))
-        if i % (samples // STRIP) == 0:
-            size = (width, max(1, round(width * image.shape[0] / image.shape[1])))
-            shown = cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), size, interpolation=cv2.INTER_AREA)
-            strip.append(cv2.imencode(".jpg", shown)[1].tobytes())
     return CameraQuality(
         len(stamps), *_rate_and_missing(stamps), float(np.median(sharp)) if sharp else math.nan,
-        float(np.median(contrast)) if contrast else 0.0, distinct, tuple(strip),
+        float(np.median(contrast)) if contrast else 0.0, distinct, topic, (times[0], times[-1]),
     )  # fmt: skip
+
+
+def film(folder: Path, camera: CameraQuality) -> list[bytes]:
+    """Returns a recording's images of a camera, small, as JPEG; RecordingFault: as `images`."""
+    width, (begin, end) = 160, camera.span
+    drawn = []
+    for image in images(folder, camera.topic, _spread(np.arange(begin, end, FILM_S), MOST_IMAGES)):
+        size = (width, max(1, round(width * image.shape[0] / image.shape[1])))
+        shown = cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), size, interpolation=cv2.INTER_AREA)
+        drawn.append(cv2.imencode(".jpg", shown)[1].tobytes())
+    return drawn
+
+
+def _spread(times: np.ndarray, most: int) -> np.ndarray:
+    """Returns at most so many of the times, evenly."""
+    return times[np.unique(np.linspace(0, len(times) - 1, min(most, len(times))).round().astype(int))]
 
 
 def _rate_and_missing(stamps: np.ndarray) -> tuple[float, float]:

@@ -1,15 +1,16 @@
-"""The page of a dataset: what is refused, how episodes differ, and images of the worst; a file of its own."""
+"""The page of a dataset: what is refused, how episodes differ, and films of the worst; a file of its own."""
 
 from __future__ import annotations
 
 import base64
+import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
 
-from leap_rig.recording.quality import GRID_S, MEASURES, EpisodeQuality, QualityFault, spread_of_starts
+from leap_rig.recording.quality import FILM_S, GRID_S, MEASURES, EpisodeQuality, QualityFault, spread_of_starts
 
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:75em;margin:2em auto;padding:0 1em;color:#222}
@@ -17,14 +18,36 @@ table{border-collapse:collapse;font-size:13px}td,th{padding:.2em .6em;border-bot
 th{font-weight:600;vertical-align:bottom}td:first-child,th:first-child{text-align:left}.wide{overflow-x:auto}
 .bad{color:#b00020}.far{background:#ffe9b0}.fit{color:#1b6e2e}
 figure{display:inline-block;margin:0 1em 1em 0;max-width:262px;vertical-align:top}
-figcaption{font-size:13px}svg{background:#fafafa;border:1px solid #ddd}img{height:90px;margin-right:2px}
+figcaption{font-size:13px}svg{background:#fafafa;border:1px solid #ddd}
+.film img,.film input{display:block;width:260px;margin:0}
 """
+FILMS = """
+for (const film of document.querySelectorAll(".film")) {
+  const [image, slider] = film.querySelectorAll("img, input"), images = JSON.parse(film.querySelector("script").text);
+  let plays = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const show = i => { slider.value = i; image.src = "data:image/jpeg;base64," + images[i]; };
+  slider.oninput = () => { plays = false; show(+slider.value); };
+  image.onclick = () => { plays = !plays; };
+  setInterval(() => { if (plays) show((+slider.value + 1) %% images.length); }, %d);
+}
+"""
+TIMES = 2.0  # as fast as it was
 BAD, FAIR = "#b00020", "#2a6fbb"
 WIDTH, HEIGHT, EDGE = 260, 110, 8
 
 
-def page(episodes: Sequence[EpisodeQuality], faults: Sequence[QualityFault], remarks: Sequence[str], worst: int) -> str:
-    """Returns the page; it shows the images of the `worst` episodes."""
+def worst_first(episodes: Sequence[EpisodeQuality]) -> list[int]:
+    """Returns the indices of the episodes, those with most faults and outliers first."""
+    return sorted(range(len(episodes)), key=lambda i: (-len(episodes[i].faults), -len(episodes[i].outliers)))
+
+
+def page(
+    episodes: Sequence[EpisodeQuality],
+    faults: Sequence[QualityFault],
+    remarks: Sequence[str],
+    films: Mapping[int, Mapping[str, Sequence[bytes]]],
+) -> str:
+    """Returns the page; `films`: those of which episodes it shows, by index, and their images by camera, JPEG."""
     refused = [one for one in episodes if one.faults]
     outcomes = Counter(one.label.outcome or "no label" for one in episodes)
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
@@ -43,8 +66,8 @@ def page(episodes: Sequence[EpisodeQuality], faults: Sequence[QualityFault], rem
         said = (f"<b>{escape(one.name)}</b>: {', '.join(one.outliers)}" for one in outliers)
         parts += ["<h2>Far from the other episodes</h2>", _list(said)]
     parts += ["<h2>Episodes</h2>", _table(episodes), "<h2>Spread</h2>", *_plots(episodes)]
-    shown = sorted(episodes, key=lambda one: (len(one.faults), len(one.outliers)), reverse=True)[:worst]
-    parts += ["<h2>Images of the worst</h2>", *(_film(one) for one in shown)]
+    parts += ["<h2>The worst</h2>", *(_shown(episodes[i], of) for i, of in films.items())]
+    parts.append(f"<script>{FILMS % round(1e3 * FILM_S / TIMES)}</script>")
     head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Dataset report</title><style>{STYLE}</style>'
     return f"{head}<body>{''.join(parts)}</body></html>\n"
 
@@ -129,7 +152,7 @@ def _scaled(values: Sequence[float] | np.ndarray, first: int, last: int) -> np.n
     return first + (found - found.min()) / (float(np.ptp(found)) or 1.0) * (last - first)
 
 
-def _film(one: EpisodeQuality) -> str:
+def _shown(one: EpisodeQuality, films: Mapping[str, Sequence[bytes]]) -> str:
     drawn = []
     if len(one.speed) > 1:
         most_points = 400
@@ -138,11 +161,16 @@ def _film(one: EpisodeQuality) -> str:
         line = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y))
         path = f'<polyline points="{line}" fill="none" stroke="{FAIR}"/>{_labels(speed.min(), speed.max())}'
         drawn.append(_figure(f"speed of the tool [m/s] over {len(one.speed) * GRID_S:.1f} s", _svg(path)))
-    for name, camera in one.cameras.items():
-        strip = "".join(
-            f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(image).decode()}">' for image in camera.strip
-        )
-        rate = f"{name}: {camera.count} images, {camera.rate:.1f} a second"
-        drawn.append(f"<div>{strip}<p><small>{escape(rate)}</small></p></div>")
+    for name, images in films.items():
+        camera = one.cameras[name]
+        said = f"{name}: {camera.count} images, {camera.rate:.1f} a second; {TIMES:g} times as fast, a click stops it"
+        drawn.append(_film(said, [base64.b64encode(image).decode() for image in images]))
     why = ", ".join([*dict.fromkeys(fault.name for fault in one.faults), *one.outliers])
     return f"<h3>{escape(one.name)}{f': {escape(why)}' if why else ''}</h3>{''.join(drawn)}"
+
+
+def _film(caption: str, images: Sequence[str]) -> str:
+    first = f'<img alt="" src="data:image/jpeg;base64,{images[0]}">'
+    slider = f'<input type="range" value="0" max="{len(images) - 1}">'
+    data = f'<script type="application/json">{json.dumps(images)}</script>'
+    return f'<figure class="film">{first}{slider}<figcaption>{escape(caption)}</figcaption>{data}</figure>'

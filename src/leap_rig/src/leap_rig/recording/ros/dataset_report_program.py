@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -12,8 +13,8 @@ import common.errors
 from common.command_line import real, whole
 from common.ros.files import write_whole
 from common.ros.node import run_program
-from leap_rig.recording.quality import QualityLimits, compare, episode_quality
-from leap_rig.recording.quality_page import page
+from leap_rig.recording.quality import EpisodeQuality, QualityLimits, compare, episode_quality, film
+from leap_rig.recording.quality_page import page, worst_first
 from leap_rig.recording.recording_files import MANIFEST, RecordingFault, folder_of
 from leap_rig.recording.session import DISCARDED, LABEL, EpisodeFault, episode_folders, read_label
 
@@ -30,7 +31,8 @@ def report(options: argparse.Namespace) -> int:
     folders = [one for name in options.names for one in _episodes(folder_of(name))]
     episodes = [episode_quality(folder, options.fps, limits) for folder in folders]
     faults, remarks = compare(episodes, limits)
-    write_whole(options.page, page(episodes, faults, remarks, options.worst))
+    films = {i: _films(folders[i], episodes[i]) for i in worst_first(episodes)[: options.worst]}
+    write_whole(options.page, page(episodes, faults, remarks, films))
     for one in episodes:
         for fault in one.faults:
             print(f"{one.name}: {fault.name}: {fault.why.rstrip('.')}.")
@@ -53,6 +55,15 @@ def _episodes(folder: Path) -> list[Path]:
     return found
 
 
+def _films(folder: Path, one: EpisodeQuality) -> dict[str, list[bytes]]:
+    """Returns the film of each camera that has one."""
+    found = {}
+    for name, camera in one.cameras.items():
+        with suppress(RecordingFault):  # between the images that were judged
+            found[name] = film(folder, camera)
+    return {name: images for name, images in found.items() if images}
+
+
 def _is_discarded(folder: Path) -> bool:
     try:
         return (folder / LABEL).exists() and read_label(folder).outcome == DISCARDED
@@ -67,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     where = "where the page goes (default: dataset_report.html)"
     parser.add_argument("--page", type=Path, default=Path("dataset_report.html"), metavar="FILE", help=where)
     parser.add_argument("--fps", type=whole(1, most_fps), default=30, help="rows a second of the dataset (default: 30)")
-    shown = "of how many episodes the page has images (default: 5)"
+    shown = "of how many episodes the page has films (default: 5)"
     parser.add_argument("--worst", type=whole(0, most_shown), default=5, help=shown)
     for field in fields(QualityLimits):
         meaning = f"{field.metadata['is']} (default: {field.default:g})"

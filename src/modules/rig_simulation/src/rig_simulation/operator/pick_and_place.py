@@ -77,6 +77,8 @@ class PickStep:
 STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "away", "done")
 PICK = (*STEPS[:6], "done")
 """Without putting it down."""
+TAKE_OVER = ("wait", "close", "open", "away", *PICK[1:])
+"""The same after a policy, whose fingers stay until the operator's come near, and may be about the object."""
 
 
 class PickAndPlace:

@@ -11,6 +11,7 @@ import rospy
 from std_srvs.srv import SetBool, Trigger
 
 from common import clock
+from common.episode_marks import BEGIN, FAILURE, SUCCESS
 from common.errors import RigError
 from common.modes import Mode
 from common.ros.service_calls import ServiceFailed, call
@@ -18,7 +19,7 @@ from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.node_parameters import EPISODES, NEEDED, NEVER, POLICY
 from rig_simulation.operator import assisted_grasp as assisted
 from rig_simulation.operator.cup_scenes import CUP, cup_scene
-from rig_simulation.operator.pick_and_place import PICK, PickAndPlace, PickStep, PickView, Plan
+from rig_simulation.operator.pick_and_place import PICK, TAKE_OVER, PickAndPlace, PickStep, PickView, Plan
 from rig_simulation.operator.steering import Move
 from rig_simulation.ros.scenarios import PERIOD_S, SERVICE_TIMEOUT_S, Scenario
 from rig_simulation.world.scene import scene_from
@@ -64,7 +65,7 @@ class RoundsScenario(Scenario):
             self._seconds.append(clock.monotonic() - began)
             good = self._lifted_since is not None and not result.failure
             self._good += good
-            self._mark("success" if good else "failure")
+            self._mark(SUCCESS if good else FAILURE)
             self._end()
             self._leapd.ask(assisted.HIDE)
             rospy.loginfo("Round %d of %d: %s.", self._round, self._rounds, result.failure or "the cup is lifted")
@@ -112,8 +113,10 @@ class RoundsScenario(Scenario):
             answer = call(f"episodes/{mark}", Trigger, timeout=SERVICE_TIMEOUT_S)
         except ServiceFailed:
             return  # nobody records
-        if not answer.success:
+        if not answer.success and mark == BEGIN:
             raise RigError(f"episodes/{mark}: {answer.message}")
+        if not answer.success:  # as after an episode that ended by itself; the next one may be kept
+            rospy.logwarn("episodes/%s: %s", mark, answer.message)
 
     def _publish(self, result: PickStep, **more: str) -> None:
         seconds = ",".join(f"{one:.1f}" for one in self._seconds)
@@ -133,7 +136,7 @@ class EpisodesScenario(RoundsScenario):
         self._plan = Plan(speed=float(rng.uniform(0.08, 0.14)), clearance=float(rng.uniform(0.10, 0.14)), hold=1.5)
         self._come_in()
         self._wait(self._follows, "the tool follows the hand")
-        self._mark("begin")
+        self._mark(BEGIN)
 
     def _come_in(self) -> None:
         self._operator = PickAndPlace(self._plan, self._arm.center_line, PICK)
@@ -162,7 +165,7 @@ class PolicyScenario(RoundsScenario):
     def _start(self) -> None:
         self._operator: PickAndPlace | _Nudge | None = None
         self._gave_back = False
-        self._mark("begin")
+        self._mark(BEGIN)
         self._wait(lambda: self._let(True), "the policy may steer")
         self._began = clock.monotonic()
 
@@ -175,9 +178,8 @@ class PolicyScenario(RoundsScenario):
         if spent > self.longest:
             return PickStep("policy", failure=f"the policy did not lift the cup within {self.longest:g} s")
         if self._takes_over != NEVER and not self._gave_back and self._needs_help(view, spent):
-            self._operator = (
-                PickAndPlace(Plan(), self._arm.center_line, PICK) if self._takes_over == NEEDED else _Nudge()
-            )
+            picks = PickAndPlace(Plan(), self._arm.center_line, TAKE_OVER)
+            self._operator = picks if self._takes_over == NEEDED else _Nudge()
             self._taken += 1
             self._show_hand()
         return PickStep("policy")
