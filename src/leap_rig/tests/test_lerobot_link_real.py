@@ -123,7 +123,15 @@ def test_too_many_clients_are_turned_away(rig, link):
         client.connect()
     with pytest.raises(link.RigLinkError, match="closed"):
         clients[-1].connect()
-    assert len(rig.clients) == MOST_CLIENTS, "each one has a number of its own"
+    assert rig.clients == set(range(1, MOST_CLIENTS + 1))
+
+
+def test_a_connection_never_gets_the_number_of_one_that_ended(rig, link):
+    for _ in range(3):
+        client = link.RigLink(str(rig.path))
+        client.connect()
+        client.close()
+    assert rig.clients == {1, 2, 3}
 
 
 def test_a_path_in_use_is_refused_and_that_of_a_killed_server_is_taken(rig, tmp_path, link):

@@ -81,7 +81,7 @@ def action(x=0.5):
 def test_an_observation_is_what_came_last(published):
     rig = desk()
     published.publish()
-    said, images = rig.answer({"do": "observe"})
+    said, images = rig.answer({"do": "observe"}, 1)
     state = said["state"]
     assert [state[f"kuka_joint_{i}.pos"] for i in range(1, 8)] == list(range(7)) and state["kuka_joint_7.torque"] == 6.0
     assert state["spread.pos"] == pytest.approx(0.3) and state["tool.x"] == 0.5 and state["tool.qw"] == 1.0
@@ -95,45 +95,46 @@ def test_of_a_device_that_is_silent_there_is_no_observation(published, silent):
     rig = desk()
     published.publish(silent)
     with pytest.raises(DeviceError, match=f"{silent} has said nothing"):
-        rig.answer({"do": "observe"})
+        rig.answer({"do": "observe"}, 1)
     published.publish()
-    rig.answer({"do": "observe"})
+    rig.answer({"do": "observe"}, 1)
     for _ in range(22 if "torques" in silent else 6):
         published.publish(silent)
     with pytest.raises(DeviceError, match=f"{silent} has said nothing"):
-        rig.answer({"do": "observe"})
+        rig.answer({"do": "observe"}, 1)
 
 
 def test_a_camera_that_is_silent_is_named(published):
     rig = desk()
     published.publish("camera/rgb/image_raw")
     with pytest.raises(DeviceError, match="color has said nothing yet"):
-        rig.answer({"do": "observe"})
+        rig.answer({"do": "observe"}, 1)
 
 
 def test_the_intent_is_what_the_hand_commands_else_where_the_rig_is(published):
     rig, fingers = desk(), rospy.Publisher("reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1)
     with pytest.raises(DeviceError, match="where the tool is"):
-        rig.answer({"do": "intent"})
+        rig.answer({"do": "intent"}, 1)
     published.publish()
-    found = rig.answer({"do": "intent"})[0]["action"]
+    found = rig.answer({"do": "intent"}, 1)[0]["action"]
     assert (found["tool.x"], found["spread.pos"]) == (0.5, pytest.approx(0.3)) and found.keys() == set(ACTION)
     published.place(DESIRED, 0.6)
     fingers.publish(RadianServoCommands([0.75] * 4))
     clock.sleep(LATE_S)
-    found = rig.answer({"do": "intent"})[0]["action"]
+    found = rig.answer({"do": "intent"}, 1)[0]["action"]
     assert (found["tool.x"], found["spread.pos"]) == (0.6, 0.75)
 
 
 def test_actions_go_to_who_leads_the_tool_which_says_why_it_does_not(published, virtual_graph):
     rig, sent = desk(), virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
     states = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=1)
+    rospy.Service("leap_kuka/run_policy", SetBool, lambda request: (True, ""))
 
     def acted(**state):
         if state:
             states.publish(TeleopState(**state))
         clock.sleep(0.1)
-        return rig.answer({"do": "act", "action": action(0.52)})[0]["refused"]
+        return rig.answer({"do": "act", "action": action(0.52)}, 1)[0]["refused"]
 
     assert [acted() for _ in range(4)] == [""] * 4, "leap_kuka needs a moment"
     for _ in range(2):
@@ -159,18 +160,40 @@ def test_each_program_may_steer_from_its_first_action_but_not_again_once_it_was_
     rospy.Service("leap_kuka/run_policy", SetBool, lambda r: asked.append(r.data) or (len(asked) < 2, "Not now."))
     act = {"do": "act", "action": action()}
     for program, said in enumerate(("", "Not now."), 1):
-        rig.answer({"do": "hello"})
+        rig.answer({"do": "hello"}, program)
         assert len(asked) == program - 1, "it may look first"
-        assert rig.answer(act)[0]["refused"] == said
-        rig.answer(act)
+        assert rig.answer(act, program)[0]["refused"] == said
+        rig.answer(act, program)
         assert asked == [True] * program
-    rig.answer({"do": "hello"}, client=2)
-    rig.answer(act)
+        clock.sleep(2.0)
+    rig.answer({"do": "hello"}, 3)
+    rig.answer(act, 2)
     assert len(asked) == 2, "another program that comes lets the one that was stopped steer no more"
     reading = desk(moves=False)
-    reading.answer({"do": "hello"})
-    reading.answer(act)
+    reading.answer({"do": "hello"}, 4)
+    reading.answer(act, 4)
     assert len(asked) == 2
+
+
+def test_of_two_programs_one_steers(published, virtual_graph):
+    asked, rig = [], desk()
+    sent = virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
+    rospy.Service("leap_kuka/run_policy", SetBool, lambda request: asked.append(request.data) or (True, ""))
+
+    def acted(client, x):
+        clock.sleep(0.3)
+        return rig.answer({"do": "act", "action": action(x)}, client)[0]["refused"]
+
+    for _ in range(4):
+        assert acted(1, 0.51) == "" and acted(2, 0.52) == "Another LeRobot program moves the tool; end it first."
+    clock.sleep(1.0)
+    assert acted(2, 0.53) == "", "the first one is silent"
+    assert acted(1, 0.54) == "Another LeRobot program has moved the tool since; connect again to move it."
+    clock.sleep(5.0)
+    assert "connect again" in acted(1, 0.54), "nor by and by"
+    assert acted(2, 0.55) == "" and asked == [True, True]
+    clock.sleep(LATE_S)
+    assert {one.tool[0].position.x for one in sent} == {0.51, 0.53, 0.55}
 
 
 def test_a_second_program_that_steers_is_told_who_does_and_a_reading_one_is_not(virtual_graph, monkeypatch):
@@ -206,23 +229,25 @@ def test_of_two_arms_the_one_of_its_namespace_is_served(virtual_graph):
     def serve():
         rospy.init_node("lerobot_server")
         made = desk()
+        rospy.Service("leap_kuka/run_policy", SetBool, lambda request: (True, ""))
         for _ in range(4):
             clock.sleep(0.5)
-            found.append((made.answer({"do": "observe"})[0]["state"], made.answer({"do": "act", "action": action()})))
+            made.answer({"do": "act", "action": action()}, 1)
+            found.append(made.answer({"do": "observe"}, 1)[0]["state"])
 
     server = virtual_graph.start("lerobot_server.py", serve, "lerobot_server.py", "__ns:=left")
     while server.poll() is None:
         rig.place("left/kuka/base_frame", 5.0, "world")
         rig.publish()
     assert server.wait(1.0) == 0 and len(found) == 4, server.log
-    assert found[-1][0]["tool.x"] == 0.5 and found[-1][0]["kuka_joint_3.pos"] == 2.0
+    assert found[-1]["tool.x"] == 0.5 and found[-1]["kuka_joint_3.pos"] == 2.0
     assert sent[-1].header.frame_id == "left/kuka/base_frame" and sent[-1].tool[0].position.x == 0.5
 
 
 def test_what_is_no_action_is_refused_and_not_sent(published, virtual_graph):
     sent = virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
-    assert "not a finite number" in desk().answer({"do": "act", "action": action(float("nan"))})[0]["refused"]
-    assert "without --moves" in desk(moves=False).answer({"do": "act", "action": action()})[0]["refused"]
+    assert "not a finite number" in desk().answer({"do": "act", "action": action(float("nan"))}, 1)[0]["refused"]
+    assert "without --moves" in desk(moves=False).answer({"do": "act", "action": action()}, 1)[0]["refused"]
     clock.sleep(LATE_S)
     assert not sent
 
@@ -230,8 +255,8 @@ def test_what_is_no_action_is_refused_and_not_sent(published, virtual_graph):
 @pytest.mark.parametrize("request_", [{}, {"do": "stop"}, {"do": "act"}, {"do": "act", "action": [1.0]}])
 def test_another_request_is_refused(published, request_):
     with pytest.raises(DeviceError, match="must be hello"):
-        desk().answer(request_)
-    assert desk(False).answer({"do": "hello"})[0] == {"moves": False, "action": ACTION, "cameras": ["color"]}
+        desk().answer(request_, 1)
+    assert desk(False).answer({"do": "hello"}, 1)[0] == {"moves": False, "action": ACTION, "cameras": ["color"]}
 
 
 def test_the_options_have_defaults():

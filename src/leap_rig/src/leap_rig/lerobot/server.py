@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import socket
 from collections.abc import Callable, Mapping
@@ -18,15 +19,15 @@ MOST_CLIENTS = 4
 
 
 class LerobotServer:
-    """Gives each request to `answer`, with the number of its connection; a RigError of it, or of the request, is
-    answered as `fault`, a sentence."""
+    """Gives each request to `answer`, with the number of its connection, from 1, later ones greater; a RigError of it,
+    or of the request, is answered as `fault`, a sentence."""
 
     def __init__(
         self, path: Path, answer: Callable[[Mapping[str, Any], int], tuple[Mapping[str, Any], Mapping[str, bytes]]]
     ) -> None:
         self._path, self._answer = path, answer
         self._socket = _listening(path)
-        self._lock, self._clients = clock.Lock(), 0
+        self._lock, self._clients, self._numbers = clock.Lock(), 0, itertools.count(1)
         self._thread = clock.Thread(target=self._accept, name="lerobot", daemon=True)
         self._thread.start()
 
@@ -50,11 +51,13 @@ class LerobotServer:
             if full:
                 self._leave(connection)
                 continue
-            clock.Thread(target=self._serve, args=(connection,), name="lerobot client", daemon=True).start()
+            clock.Thread(
+                target=self._serve, args=(connection, next(self._numbers)), name="lerobot client", daemon=True
+            ).start()
 
-    def _serve(self, connection: socket.socket) -> None:
+    def _serve(self, connection: socket.socket, number: int) -> None:
         try:
-            while self._exchange(connection):
+            while self._exchange(connection, number):
                 pass
         except OSError:
             pass  # it has gone, or says nothing
@@ -66,7 +69,7 @@ class LerobotServer:
         with self._lock:
             self._clients -= 1
 
-    def _exchange(self, connection: socket.socket) -> bool:
+    def _exchange(self, connection: socket.socket, number: int) -> bool:
         """Answers one request; returns whether another one can follow."""
         connection.settimeout(IDLE_S)
         if not connection.recv(1, socket.MSG_PEEK):
@@ -75,7 +78,7 @@ class LerobotServer:
         goes_on = True
         try:
             request = unpacked(lambda count: _exactly(connection, count))[0]
-            said, images = self._answer(request, connection.fileno())
+            said, images = self._answer(request, number)
         except LerobotWireFault as error:
             said, images, goes_on = {"fault": str(error)}, {}, False
         except RigError as error:

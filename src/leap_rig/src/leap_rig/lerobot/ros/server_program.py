@@ -40,6 +40,7 @@ from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import PolicyActions, TeleopState
 
 SILENT_S, SLOW_S = 0.5, 2.0  # an older observation is a fault; older torques and images, which come less often
+ANOTHER_S = 1.0  # without an action of who moves the tool, another program may
 LED_S = 0.5  # after the first action leap_kuka has said whether it leads the tool
 RUN_POLICY = "leap_kuka/run_policy"
 ANSWER_S, THERE_S, POLL_S = 2.0, 10.0, 0.1
@@ -53,8 +54,8 @@ class RigDesk:
         self._cameras, self._quality, self._moves = cameras, quality, moves
         self._lock = clock.Lock()
         self._newest = NewestMessages()
-        self._acted = self._acts_since = float("-inf")
-        self._asking: set[int] = set()  # who asks to steer at its first action: the permission ends where nobody acts
+        self._acted = self._acts_since = self._steered = float("-inf")
+        self._steers = 0  # the newest connection that asked to steer, at its first action: nobody may who only looks
         if moves:
             self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
         for topic, kind in (
@@ -68,13 +69,10 @@ class RigDesk:
         for name, topic in cameras.items():
             self._newest.hear(topic, Image, name)
 
-    def answer(self, request: Mapping[str, Any], client: int = 0) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
+    def answer(self, request: Mapping[str, Any], client: int) -> tuple[Mapping[str, Any], Mapping[str, bytes]]:
         """Answers one request of a client, by the number of its connection; raises RigError where it cannot."""
         what = request.get("do")
         if what == "hello":
-            if self._moves:
-                with self._lock:
-                    self._asking.add(client)
             return {"moves": self._moves, "action": ACTION, "cameras": list(self._cameras)}, {}
         if what == "observe":
             return {"state": self._state()}, {name: self._image(name) for name in self._cameras}
@@ -130,8 +128,12 @@ class RigDesk:
         fingers = [float(action[name]) for name in FINGERS]
         header = Header(0, rospy.Time.now(), self._newest.frames(BASE))
         with self._lock:
-            asks = client in self._asking
-            self._asking.discard(client)
+            now, asks = clock.monotonic(), client > self._steers
+            if client < self._steers:
+                return "Another LeRobot program has moved the tool since; connect again to move it."
+            if asks and now - self._steered < ANOTHER_S:
+                return "Another LeRobot program moves the tool; end it first."
+            self._steers, self._steered = client, now
         if asks:
             answer = call(RUN_POLICY, SetBool, True, timeout=ANSWER_S)
             if not answer.success:
