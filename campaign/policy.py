@@ -22,19 +22,21 @@ from campaign import rig as real
 from campaign.arm_trace import ArmTrace, Sample
 from campaign.judge import FULL_SPEED, Limits
 from common.command_line import whole
+from common.errors import RigError
 from kuka_control.model.rig import Rig, checked_rig
 from kuka_control.model.workspace import Infeasible, Workspace
 from leap_rig.operator.ros.speaker import Speaker
 from leap_rig.recording.ros import record_program
 from rig_msgs.msg import GuardState, KukaStatus
 from rig_simulation.node_parameters import EPISODES, NEVER, POLICY, WHEN
-from simulated.graph import Graph
+from simulated.graph import Graph, Launch
 from simulated.hand_wire import HandNetwork
 
 RATES = Path(__file__).with_name("rig.yaml")
 TASK = "Pick the cup up."
 ROUND_S = 90.0  # longest time of a round, with the way home
 END_S = 30.0
+OPERATOR = "/operator"
 ROBOT_CONTROL_PORT = 30011
 GUARD_OFF_M, OUTSIDE_M = 0.002, 0.01  # what an arm that follows is off by
 
@@ -67,17 +69,22 @@ def run(graph: Graph, options: argparse.Namespace) -> dict[str, Any]:
         recorder = graph.run("leap_rig", "record_episodes.py", *words, "--countdown", "0")
     rig = graph.launch("leap_rig", "demo.launch", **arguments)
 
-    def ended() -> bool:
-        return progress.step == "done" or any(node.returncode is not None for node in rig.nodes)
-
-    graph.wait_until(lambda: progress.step or ended(), real.START_S, "the first round")
+    graph.wait_until(lambda: progress.step or _dead(rig), real.START_S, "the first round")
     progress.begin()
-    graph.wait_until(ended, options.rounds * ROUND_S, "the last round")
+    graph.wait_until(lambda: progress.step == "done" or _dead(rig), options.rounds * ROUND_S, "the last round")
     progress.close()
     if options.session:
         recorder.send_signal(signal.SIGINT)
         recorder.wait(END_S)
     return progress.result
+
+
+def _dead(rig: Launch) -> bool:
+    """Raises RigError where the simulated operator has ended, by whom the rounds go."""
+    for node in rig.nodes:
+        if node.name == OPERATOR and node.returncode is not None:
+            raise RigError(f"The simulated operator has ended before the last round: {node.log.splitlines()[-1]}")
+    return False
 
 
 class Progress:

@@ -13,9 +13,10 @@ from numpy.testing import assert_allclose
 
 from leap_motion.codec import read_message
 from rig_simulation.devices.leap.program import _source, parse
-from rig_simulation.operator.guided import FARTHEST_M, GuidedOperator, HandTarget
+from rig_simulation.operator.guided import GuidedOperator, HandTarget
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import PERIOD_S, Playback, ScriptedOperator
+from rig_simulation.operator.steering import FARTHEST_M
 
 CENTRE = np.array([0.0, 0.35, 0.0])
 NOISE_M = 6e-3

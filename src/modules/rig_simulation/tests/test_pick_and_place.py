@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from common.rotations import rotation_about
-from rig_simulation.operator.pick_and_place import PICK, STEPS, PickAndPlace, PickView
-from rig_simulation.operator.steering import UP
+from rig_simulation.operator.pick_and_place import PICK, STEPS, TAKE_OVER, PickAndPlace, PickView
+from rig_simulation.operator.steering import FARTHEST_M, UP
 
 
 def work(rig, seconds=120.0, following=lambda now: True, wanted=None, approach=-UP, tools=None):
@@ -71,6 +71,38 @@ def test_an_arm_that_stops_on_the_way_is_given_up_with_the_reason():
     rig.advance = lambda: None
     result, _ = work(rig)
     assert "'above'" in result.failure
+
+
+def test_a_hand_goes_no_farther_than_it_is_seen_after_an_arm_that_does_not_come():
+    rig, palms = FollowingRig(), []
+    rig.advance = lambda: None
+    rig.make = lambda move: palms.append(move.palm)
+    result, _ = work(rig)
+    assert "mm off the target" in result.failure
+    assert np.abs(palms).max() == FARTHEST_M
+
+
+def test_who_rises_from_the_edge_of_what_the_arm_reaches_lets_it_stay_there():
+    """Higher up it reaches less far."""
+    rig, steps = FollowingRig(), []
+    advance = rig.advance
+
+    def reaching_less():
+        advance()
+        rig.tool[0] = min(rig.tool[0], TOP[0] + 0.03 - 0.5 * max(0.0, rig.tool[2] - rig.top[2] - 0.1))
+
+    rig.advance = reaching_less
+    rig.tool = rig.top + np.array([0.02, 0.0, 0.08])
+    rig.come_in(CENTER_LINE)
+    person = PickAndPlace(PLAN, CENTER_LINE, TAKE_OVER)
+    for k in range(round(40.0 / PERIOD_S)):
+        result = person.step(PickView(rig.tool, rig.top, 0.0), k * PERIOD_S)
+        assert not result.failure
+        steps.append(result.step)
+        if result.move is not None:
+            rig.make(result.move)
+        rig.advance()
+    assert "above" in steps
 
 
 def test_a_person_waits_out_an_interruption():

@@ -15,8 +15,8 @@ from leap_motion.service.hand import ReportedHand
 from rig_simulation.devices.leap.sensing import SETTLE_S, Tracker
 from rig_simulation.operator import motion
 from rig_simulation.operator.sources import ScriptedOperator, Sensed, as_frames, next_interval
+from rig_simulation.operator.steering import FARTHEST_M
 
-FARTHEST_M = 0.5
 LARGEST_ANGLE = np.radians(90.0)
 
 

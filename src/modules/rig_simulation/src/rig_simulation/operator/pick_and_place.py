@@ -106,6 +106,8 @@ class PickAndPlace:
             return PickStep(name)
         if self._target is not None:
             error, turn = self._target - view.grip, self._turn(name, view)
+            if name == "away":  # where it is aside does not matter, and may be out of reach
+                error = (error @ view.approach) * view.approach
             if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
                 return PickStep(name, self._hand.shift(error, now, turn))
         self._step += 1

@@ -16,6 +16,9 @@ GRIP_OFFSET = (-0.0152, 0.0, 0.0)
 """From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis is reversed
 there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
 
+FARTHEST_M = 0.5
+"""That the palm goes from its entry to each side."""
+
 
 @dataclass(frozen=True)
 class Habits:
@@ -81,7 +84,7 @@ class SteeringHand:
         """Returns the move that shifts the tool, shape (3,) [m], and turns it anticlockwise from above [rad]."""
         shortest_move_s = 0.4
         settle_s = 0.3
-        self.palm = self.palm + self._R_leap_base @ by
+        self.palm = np.clip(self.palm + self._R_leap_base @ by, -FARTHEST_M, FARTHEST_M)
         self.yaw -= turn
         fastest = max(float(np.linalg.norm(by) / self._habits.speed), abs(turn) / self._habits.turn_speed)
         seconds = max(shortest_move_s, MIN_JERK_PEAK * fastest)
