@@ -36,7 +36,7 @@ RATES = Path(__file__).with_name("rig.yaml")
 TASK = "Pick the cup up."
 ROUND_S = 90.0  # longest time of a round, with the way home
 END_S = 30.0
-OPERATOR = "/operator"
+OPERATOR = "operator"
 ROBOT_CONTROL_PORT = 30011
 GUARD_OFF_M, OUTSIDE_M = 0.002, 0.01  # what an arm that follows is off by
 
@@ -69,9 +69,13 @@ def run(graph: Graph, options: argparse.Namespace) -> dict[str, Any]:
         recorder = graph.run("leap_rig", "record_episodes.py", *words, "--countdown", "0")
     rig = graph.launch("leap_rig", "demo.launch", **arguments)
 
-    graph.wait_until(lambda: progress.step or _dead(rig), real.START_S, "the first round")
+    def begun() -> bool:
+        _check_operator(rig)
+        return bool(progress.step)
+
+    graph.wait_until(begun, real.START_S, "the first round")
     progress.begin()
-    graph.wait_until(lambda: progress.step == "done" or _dead(rig), options.rounds * ROUND_S, "the last round")
+    graph.wait_until(lambda: begun() and progress.step == "done", options.rounds * ROUND_S, "the last round")
     progress.close()
     if options.session:
         recorder.send_signal(signal.SIGINT)
@@ -79,12 +83,12 @@ def run(graph: Graph, options: argparse.Namespace) -> dict[str, Any]:
     return progress.result
 
 
-def _dead(rig: Launch) -> bool:
-    """Raises RigError where the simulated operator has ended, by whom the rounds go."""
+def _check_operator(rig: Launch) -> None:
+    """Raises RigError if the simulated operator, who begins each round, has ended."""
     for node in rig.nodes:
-        if node.name == OPERATOR and node.returncode is not None:
-            raise RigError(f"The simulated operator has ended before the last round: {node.log.splitlines()[-1]}")
-    return False
+        if node.mappings.get("__name") == OPERATOR and node.returncode is not None:
+            said = (node.log.splitlines() or ["it said nothing"])[-1]
+            raise RigError(f"The simulated operator exited with code {node.returncode}: {said}")
 
 
 class Progress:

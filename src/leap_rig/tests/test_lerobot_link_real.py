@@ -37,7 +37,7 @@ class FakeRig:
     def __init__(self, names, moves=True):
         self.state, self.moves, self.taken = {name: 0.25 * i for i, name in enumerate(names)}, moves, []
         self.fault = self.refused = ""
-        self.clients = set()
+        self.clients, self.left = set(), []
         self.intent = dict(zip(actions.ACTION, (0.5, 0.1, 0.4, 0.0, 0.0, 0.0, 1.0, 0.1, 0.2, 0.3, 0.4)))
 
     def answer(self, request, client):
@@ -59,7 +59,7 @@ class FakeRig:
 def rig(tmp_path, link):
     rig = FakeRig(link.STATE)
     rig.path = tmp_path / "rig.sock"
-    server = LerobotServer(rig.path, rig.answer)
+    server = LerobotServer(rig.path, rig.answer, rig.left.append)
     yield rig
     server.close()
     assert not rig.path.exists()
@@ -126,12 +126,13 @@ def test_too_many_clients_are_turned_away(rig, link):
     assert rig.clients == set(range(1, MOST_CLIENTS + 1))
 
 
-def test_a_connection_never_gets_the_number_of_one_that_ended(rig, link):
+def test_a_connection_never_gets_the_number_of_one_that_ended(rig, link, wait_until):
     for _ in range(3):
         client = link.RigLink(str(rig.path))
         client.connect()
         client.close()
-    assert rig.clients == {1, 2, 3}
+        wait_until(lambda: rig.clients == set(rig.left), 10.0, "the end of the connection")
+    assert rig.left == [1, 2, 3]
 
 
 def test_a_path_in_use_is_refused_and_that_of_a_killed_server_is_taken(rig, tmp_path, link):

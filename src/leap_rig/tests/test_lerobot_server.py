@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from common import clock
-from common.errors import DeviceError
+from common.errors import DeviceError, RigError
 from leap_rig.lerobot.actions import ACTION
 
 pytest.importorskip("reflex_msgs.msg")
@@ -175,25 +175,60 @@ def test_each_program_may_steer_from_its_first_action_but_not_again_once_it_was_
     assert len(asked) == 2
 
 
-def test_of_two_programs_one_steers(published, virtual_graph):
+def acted(rig, client, x, after=0.3):
+    clock.sleep(after)
+    return rig.answer({"do": "act", "action": action(x)}, client)[0]["refused"]
+
+
+def test_of_two_programs_one_moves_the_tool_and_the_other_connects_again_first(published, virtual_graph):
     asked, rig = [], desk()
     sent = virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
     rospy.Service("leap_kuka/run_policy", SetBool, lambda request: asked.append(request.data) or (True, ""))
-
-    def acted(client, x):
-        clock.sleep(0.3)
-        return rig.answer({"do": "act", "action": action(x)}, client)[0]["refused"]
-
-    for _ in range(4):
-        assert acted(1, 0.51) == "" and acted(2, 0.52) == "Another LeRobot program moves the tool; end it first."
-    clock.sleep(1.0)
-    assert acted(2, 0.53) == "", "the first one is silent"
-    assert acted(1, 0.54) == "Another LeRobot program has moved the tool since; connect again to move it."
-    clock.sleep(5.0)
-    assert "connect again" in acted(1, 0.54), "nor by and by"
-    assert acted(2, 0.55) == "" and asked == [True, True]
+    for said in ("stop it, then connect again", *["does not move the tool: connect again"] * 3):
+        assert acted(rig, 1, 0.51) == "" and said in acted(rig, 2, 0.52)
+    assert "connect again" in acted(rig, 2, 0.52, after=2.0), "not by itself once the other one has stopped"
+    assert acted(rig, 3, 0.53) == ""
+    for after in (0.0, 5.0):
+        assert "connect again" in acted(rig, 1, 0.54, after), "nor the one that was first"
+    assert acted(rig, 3, 0.55) == "" and asked == [True, True]
+    rig.left(3)
+    assert acted(rig, 4, 0.56, after=0.0) == "", "nobody waits for a program that has ended"
     clock.sleep(LATE_S)
-    assert {one.tool[0].position.x for one in sent} == {0.51, 0.53, 0.55}
+    assert [one.tool[0].position.x for one in sent] == [0.51] * 4 + [0.53, 0.55, 0.56]
+
+
+def test_a_program_that_may_not_takes_the_tool_from_nobody(published, virtual_graph):
+    rig, says = desk(), [True]
+    sent = virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
+    service = rospy.Service("leap_kuka/run_policy", SetBool, lambda request: (says[0], "Not now."))
+    assert acted(rig, 1, 0.51) == ""
+    says[0] = False
+    assert acted(rig, 2, 0.52, after=2.0) == "Not now." and "connect again" in acted(rig, 2, 0.52)
+    service.shutdown()
+    with pytest.raises(RigError, match="run_policy"):
+        acted(rig, 3, 0.53)
+    assert "connect again" in acted(rig, 3, 0.53)
+    assert acted(rig, 1, 0.54) == ""
+    clock.sleep(LATE_S)
+    assert [one.tool[0].position.x for one in sent] == [0.51, 0.54]
+
+
+def test_of_two_programs_that_ask_at_once_the_newer_one_moves_the_tool(published, virtual_graph):
+    rig, said = desk(), {}
+    sent = virtual_graph.record("leap_kuka/policy_actions", PolicyActions)
+
+    def slowly(request):
+        clock.sleep(1.5)
+        return True, ""
+
+    rospy.Service("leap_kuka/run_policy", SetBool, slowly)
+    programs = [clock.Thread(target=lambda n=n: said.update({n: acted(rig, n, 0.5, 0.1 * n)})) for n in (1, 2)]
+    for each in programs:
+        each.start()
+    for each in programs:
+        each.join()
+    clock.sleep(LATE_S)
+    assert said[2] == "" and "Another LeRobot program moves the tool" in said[1] and len(sent) == 1
 
 
 def test_a_second_program_that_steers_is_told_who_does_and_a_reading_one_is_not(virtual_graph, monkeypatch):

@@ -94,9 +94,9 @@ def test_who_rises_from_the_edge_of_what_the_arm_reaches_lets_it_stay_there():
     rig.advance = reaching_less
     rig.tool = rig.top + np.array([0.02, 0.0, 0.08])
     rig.come_in(CENTER_LINE)
-    person = PickAndPlace(PLAN, CENTER_LINE, TAKE_OVER)
+    operator = PickAndPlace(PLAN, CENTER_LINE, TAKE_OVER)
     for k in range(round(40.0 / PERIOD_S)):
-        result = person.step(PickView(rig.tool, rig.top, 0.0), k * PERIOD_S)
+        result = operator.step(PickView(rig.tool, rig.top, 0.0), k * PERIOD_S)
         assert not result.failure
         steps.append(result.step)
         if result.move is not None:

@@ -103,7 +103,7 @@ def test_an_operator_takes_over_once_and_gives_back(run):
     assert cell.told[-1][2]["taken"] == "1" and marks(cell)[-1] == "episodes/success"
 
 
-def test_an_episode_that_ended_by_itself_ends_no_rounds_but_one_that_cannot_begin_does(run):
+def test_a_recorder_that_comes_within_a_round_ends_no_rounds_but_one_that_cannot_begin_does(run):
     cell = Cell(lifts_after=5.0)
     cell.refused = ("episodes/success",)
     run(cell, NEVER, count=2)

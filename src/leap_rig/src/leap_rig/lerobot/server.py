@@ -20,12 +20,15 @@ MOST_CLIENTS = 4
 
 class LerobotServer:
     """Gives each request to `answer`, with the number of its connection, from 1, later ones greater; a RigError of it,
-    or of the request, is answered as `fault`, a sentence."""
+    or of the request, is answered as `fault`, a sentence. `left` gets the number of a connection that has ended."""
 
     def __init__(
-        self, path: Path, answer: Callable[[Mapping[str, Any], int], tuple[Mapping[str, Any], Mapping[str, bytes]]]
+        self,
+        path: Path,
+        answer: Callable[[Mapping[str, Any], int], tuple[Mapping[str, Any], Mapping[str, bytes]]],
+        left: Callable[[int], object] = lambda number: None,
     ) -> None:
-        self._path, self._answer = path, answer
+        self._path, self._answer, self._left = path, answer, left
         self._socket = _listening(path)
         self._lock, self._clients, self._numbers = clock.Lock(), 0, itertools.count(1)
         self._thread = clock.Thread(target=self._accept, name="lerobot", daemon=True)
@@ -62,6 +65,7 @@ class LerobotServer:
         except OSError:
             pass  # it has gone, or says nothing
         finally:
+            self._left(number)
             self._leave(connection)
 
     def _leave(self, connection: socket.socket) -> None:

@@ -367,7 +367,7 @@ def _judge_cameras(folder: Path, times: np.ndarray, found: EpisodeQuality, limit
 def camera_quality(folder: Path, topic: str, times: np.ndarray, stamps: np.ndarray, distinct: int) -> CameraQuality:
     """Returns what the images of a topic are worth at the rows' times [s]; `stamps` of all images [ns]."""
     sharp, contrast = [], []
-    for image in images(folder, topic, _spread(times, SAMPLES)):
+    for image in images(folder, topic, _sampled(times, SAMPLES)):
         grey = image.max(axis=2) if topic == topics.DEPTH else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         contrast.append(float(grey.std()))
         if topic != topics.DEPTH:
@@ -382,15 +382,15 @@ def film(folder: Path, camera: CameraQuality) -> list[bytes]:
     """Returns a recording's images of a camera, small, as JPEG; RecordingFault: as `images`."""
     width, (begin, end) = 160, camera.span
     drawn = []
-    for image in images(folder, camera.topic, _spread(np.arange(begin, end, FILM_S), MOST_IMAGES)):
+    for image in images(folder, camera.topic, _sampled(np.arange(begin, end, FILM_S), MOST_IMAGES)):
         size = (width, max(1, round(width * image.shape[0] / image.shape[1])))
         shown = cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), size, interpolation=cv2.INTER_AREA)
         drawn.append(cv2.imencode(".jpg", shown)[1].tobytes())
     return drawn
 
 
-def _spread(times: np.ndarray, most: int) -> np.ndarray:
-    """Returns at most so many of the times, evenly."""
+def _sampled(times: np.ndarray, most: int) -> np.ndarray:
+    """Returns at most so many of the times, evenly spaced."""
     return times[np.unique(np.linspace(0, len(times) - 1, min(most, len(times))).round().astype(int))]
 
 

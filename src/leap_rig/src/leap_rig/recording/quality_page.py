@@ -10,7 +10,7 @@ from html import escape
 
 import numpy as np
 
-from leap_rig.recording.quality import FILM_S, GRID_S, MEASURES, EpisodeQuality, QualityFault, spread_of_starts
+from leap_rig.recording.quality import GRID_S, MEASURES, EpisodeQuality, QualityFault, spread_of_starts
 
 STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;max-width:75em;margin:2em auto;padding:0 1em;color:#222}
@@ -28,7 +28,7 @@ for (const film of document.querySelectorAll(".film")) {
   const show = i => { slider.value = i; image.src = "data:image/jpeg;base64," + images[i]; };
   slider.oninput = () => { plays = false; show(+slider.value); };
   image.onclick = () => { plays = !plays; };
-  setInterval(() => { if (plays) show((+slider.value + 1) %% images.length); }, %d);
+  setInterval(() => { if (plays) show((+slider.value + 1) % images.length); }, +film.dataset.every);
 }
 """
 TIMES = 2.0  # as fast as it was
@@ -47,7 +47,7 @@ def page(
     remarks: Sequence[str],
     films: Mapping[int, Mapping[str, Sequence[bytes]]],
 ) -> str:
-    """Returns the page; `films`: those of which episodes it shows, by index, and their images by camera, JPEG."""
+    """Returns the page; `films`: JPEG images by the index of the episode that is shown, and by camera."""
     refused = [one for one in episodes if one.faults]
     outcomes = Counter(one.label.outcome or "no label" for one in episodes)
     counts = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
@@ -67,7 +67,7 @@ def page(
         parts += ["<h2>Far from the other episodes</h2>", _list(said)]
     parts += ["<h2>Episodes</h2>", _table(episodes), "<h2>Spread</h2>", *_plots(episodes)]
     parts += ["<h2>The worst</h2>", *(_shown(episodes[i], of) for i, of in films.items())]
-    parts.append(f"<script>{FILMS % round(1e3 * FILM_S / TIMES)}</script>")
+    parts.append(f"<script>{FILMS}</script>")
     head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Dataset report</title><style>{STYLE}</style>'
     return f"{head}<body>{''.join(parts)}</body></html>\n"
 
@@ -164,13 +164,16 @@ def _shown(one: EpisodeQuality, films: Mapping[str, Sequence[bytes]]) -> str:
     for name, images in films.items():
         camera = one.cameras[name]
         said = f"{name}: {camera.count} images, {camera.rate:.1f} a second; {TIMES:g} times as fast, a click stops it"
-        drawn.append(_film(said, [base64.b64encode(image).decode() for image in images]))
+        every = (camera.span[1] - camera.span[0]) / len(images) / TIMES
+        drawn.append(_film(said, [base64.b64encode(image).decode() for image in images], every))
     why = ", ".join([*dict.fromkeys(fault.name for fault in one.faults), *one.outliers])
     return f"<h3>{escape(one.name)}{f': {escape(why)}' if why else ''}</h3>{''.join(drawn)}"
 
 
-def _film(caption: str, images: Sequence[str]) -> str:
+def _film(caption: str, images: Sequence[str], every: float) -> str:
+    """Returns a film of JPEG images, base64, that plays one `every` s."""
     first = f'<img alt="" src="data:image/jpeg;base64,{images[0]}">'
     slider = f'<input type="range" value="0" max="{len(images) - 1}">'
     data = f'<script type="application/json">{json.dumps(images)}</script>'
-    return f'<figure class="film">{first}{slider}<figcaption>{escape(caption)}</figcaption>{data}</figure>'
+    shown = f"{first}{slider}<figcaption>{escape(caption)}</figcaption>{data}"
+    return f'<figure class="film" data-every="{1e3 * every:.0f}">{shown}</figure>'

@@ -40,7 +40,7 @@ from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import PolicyActions, TeleopState
 
 SILENT_S, SLOW_S = 0.5, 2.0  # an older observation is a fault; older torques and images, which come less often
-ANOTHER_S = 1.0  # without an action of who moves the tool, another program may
+ANOTHER_S = 1.0  # without an action for so long, the program that moves the tool gives way to another one
 LED_S = 0.5  # after the first action leap_kuka has said whether it leads the tool
 RUN_POLICY = "leap_kuka/run_policy"
 ANSWER_S, THERE_S, POLL_S = 2.0, 10.0, 0.1
@@ -55,7 +55,7 @@ class RigDesk:
         self._lock = clock.Lock()
         self._newest = NewestMessages()
         self._acted = self._acts_since = self._steered = float("-inf")
-        self._steers = 0  # the newest connection that asked to steer, at its first action: nobody may who only looks
+        self._steers = self._asked = 0  # connections: the one that moves the tool, the newest that asked to
         if moves:
             self._actions = rospy.Publisher(POLICY_ACTIONS, PolicyActions, queue_size=1, tcp_nodelay=True)
         for topic, kind in (
@@ -126,20 +126,40 @@ class RigDesk:
         length = math.hypot(*q)
         pose = Pose(Point(x, y, z), Quaternion(*(part / length for part in q)))
         fingers = [float(action[name]) for name in FINGERS]
+        refused = self._refused(client)
+        if refused:
+            return refused
         header = Header(0, rospy.Time.now(), self._newest.frames(BASE))
-        with self._lock:
-            now, asks = clock.monotonic(), client > self._steers
-            if client < self._steers:
-                return "Another LeRobot program has moved the tool since; connect again to move it."
-            if asks and now - self._steered < ANOTHER_S:
-                return "Another LeRobot program moves the tool; end it first."
-            self._steers, self._steered = client, now
-        if asks:
-            answer = call(RUN_POLICY, SetBool, True, timeout=ANSWER_S)
-            if not answer.success:
-                return answer.message
         self._actions.publish(PolicyActions(header, HOLDS_S, [pose], fingers))
         return self._not_led()
+
+    def _refused(self, client: int) -> str:
+        """Returns why a connection may not move the tool, a sentence; empty if it may. It asks once, at its first
+        action: whoever was stopped, or had to wait, connects again."""
+        again = "connect again to move it."
+        with self._lock:
+            if client == self._steers:
+                self._steered = clock.monotonic()
+                return ""
+            if client <= self._asked:
+                return f"This program does not move the tool: {again}"
+            self._asked = client
+            if clock.monotonic() - self._steered < ANOTHER_S:
+                return f"Another LeRobot program moves the tool: stop it, then {again}"
+        answer = call(RUN_POLICY, SetBool, True, timeout=ANSWER_S)
+        if not answer.success:
+            return answer.message
+        with self._lock:
+            if client != self._asked:
+                return f"Another LeRobot program moves the tool: {again}"
+            self._steers, self._steered = client, clock.monotonic()
+        return ""
+
+    def left(self, client: int) -> None:
+        """A connection has ended."""
+        with self._lock:
+            if client == self._steers:
+                self._steered = float("-inf")
 
     def _not_led(self) -> str:
         """Returns why leap_kuka does not lead the tool by the actions that come, a sentence; empty if it does."""
@@ -173,7 +193,7 @@ def serve(options: argparse.Namespace) -> int:
     desk = RigDesk({camera_name(topic): topic for topic in options.camera}, options.quality, options.moves)
     name = "_".join(["lerobot", *filter(None, rospy.get_namespace().split("/"))])  # one for each arm
     path = options.socket or Path(os.environ.get("ROS_HOME") or home() / ".ros") / "leap_rig" / f"{name}.sock"
-    server = LerobotServer(path, desk.answer)
+    server = LerobotServer(path, desk.answer, desk.left)
     may = "may move the tool" if options.moves else "only reads"
     print(f"LeRobot {may}, by {path}.", flush=True)
     try:

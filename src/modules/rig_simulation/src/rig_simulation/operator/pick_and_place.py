@@ -78,7 +78,7 @@ STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "awa
 PICK = (*STEPS[:6], "done")
 """Without putting it down."""
 TAKE_OVER = ("wait", "close", "open", "away", *PICK[1:])
-"""The same after a policy, whose fingers stay until the operator's come near, and may be about the object."""
+"""PICK after a policy, whose fingers may be about the object: closes, so that they engage, then opens and rises."""
 
 
 class PickAndPlace:
@@ -105,9 +105,7 @@ class PickAndPlace:
         if not self._hand.ready(now) or not view.following:
             return PickStep(name)
         if self._target is not None:
-            error, turn = self._target - view.grip, self._turn(name, view)
-            if name == "away":  # where it is aside does not matter, and may be out of reach
-                error = (error @ view.approach) * view.approach
+            error, turn = self._error(name, self._target, view), self._turn(name, view)
             if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
                 return PickStep(name, self._hand.shift(error, now, turn))
         self._step += 1
@@ -134,6 +132,13 @@ class PickAndPlace:
             return PickStep(name)
         return PickStep(name, self._hand.shift(self._target - view.grip, now, self._turn(name, view)))
 
+    @staticmethod
+    def _error(name: str, target: np.ndarray, view: PickView) -> np.ndarray:
+        """Returns what the tool lacks to its target, shape (3,) [m]; away from the object, only along the approach: the
+        sideways position does not matter there, and may be out of reach."""
+        error: np.ndarray = target - view.grip
+        return (error @ view.approach) * view.approach if name == "away" else error
+
     def _turn(self, name: str, view: PickView) -> float:
         """Returns the remaining turn [rad]: only above the object, and no further than the arm follows."""
         if name != "above":
@@ -145,6 +150,6 @@ class PickAndPlace:
         if not view.following:
             return f"the arm did not follow within {self._plan.patience:g} s (step {name!r})"
         if self._target is not None:
-            off = 1e3 * np.linalg.norm(self._target - view.grip)
+            off = 1e3 * np.linalg.norm(self._error(name, self._target, view))
             return f"the tool stayed {off:.0f} mm off the target of step {name!r}"
         return f"step {name!r} took longer than {self._plan.patience:g} s"

@@ -17,7 +17,7 @@ GRIP_OFFSET = (-0.0152, 0.0, 0.0)
 there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
 
 FARTHEST_M = 0.5
-"""That the palm goes from its entry to each side."""
+"""Largest displacement of the palm from its entry, along each axis [m]."""
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,7 @@ class RoundsScenario(Scenario):
             return  # nobody records
         if not answer.success and mark == BEGIN:
             raise RigError(f"episodes/{mark}: {answer.message}")
-        if not answer.success:  # as after an episode that ended by itself; the next one may be kept
+        if not answer.success:  # a recorder that was started within the round has no episode yet
             rospy.logwarn("episodes/%s: %s", mark, answer.message)
 
     def _publish(self, result: PickStep, **more: str) -> None:
