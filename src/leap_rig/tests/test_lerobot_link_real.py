@@ -66,7 +66,9 @@ def rig(tmp_path, link):
 
 
 def test_both_ends_name_the_same(link):
-    assert (link.POSE, link.FINGERS, link.ACTION) == (actions.POSE, actions.FINGERS, actions.ACTION)
+    assert (link.POSE, link.FINGERS, link.ACTION, link.STATE) == (
+        actions.POSE, actions.FINGERS, actions.ACTION, actions.STATE
+    )  # fmt: skip
 
 
 def test_requests_are_answered_over_the_socket(rig, link):
@@ -171,10 +173,18 @@ teleop = make_teleoperator_from_config(kinds[1](socket=path, calibration_dir=Pat
 robot.connect(), teleop.connect()
 seen, wanted = robot.get_observation(), teleop.get_action()
 sent = robot.send_action(wanted)
+sizes = []
+for size in ([24, 32], [48, 65]):
+    robot.config.images = {"color": size}
+    try:
+        sizes.append(list(robot.get_observation()["color"].shape))
+    except ConnectionError as error:
+        sizes.append(str(error))
 print(json.dumps({
     "observed": sorted(seen), "features": sorted(robot.observation_features), "sent": sent, "wanted": wanted,
     "action": sorted(robot.action_features), "teleop": sorted(teleop.action_features),
     "image": [list(seen["color"].shape), seen["color"][20, 20].tolist()], "connected": robot.is_connected,
+    "sizes": sizes,
 }))
 robot.disconnect(), teleop.disconnect()
 assert not robot.is_connected and not teleop.is_connected
@@ -207,3 +217,4 @@ def test_lerobot_finds_the_plug_ins_and_drives_them(rig, tmp_path):
     assert found["observed"] == found["features"] and found["action"] == found["teleop"] == sorted(actions.ACTION)
     assert found["sent"] == found["wanted"] == rig.intent and rig.taken == [rig.intent] and found["connected"]
     assert found["image"][0] == [48, 64, 3] and found["image"][1] == pytest.approx([200, 60, 30], abs=6)
+    assert found["sizes"] == [[24, 32, 3], "The image of color is 48 x 64, but 48 x 65 is configured."]

@@ -24,6 +24,7 @@ from recordings import START, stored, write_recording
 
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_quaternion
+from leap_rig.lerobot import actions
 from leap_rig.recording import csv_export, hdf5_export, read, rows_export
 from leap_rig.recording.dataset import exported_episodes
 from leap_rig.recording.episode import ARM, HAND, color_image, depth_image, training_episode
@@ -434,6 +435,99 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert again.returncode == 1 and "exists already" in again.stderr
 
 
+def led_and_seen(folder):
+    """A recording as `session` makes it, with a tool that moves along x and is to be 0.1 m ahead of it until 0.5 s;
+    both turn by 0.02 rad to either side of pointing down."""
+    import rospy
+    from tf2_msgs.msg import TFMessage
+
+    from common.ros.conversions import stamped_transform
+    from kuka_msgs.msg import jointTorquesExternal
+
+    found = list(messages(session(folder.with_name(f"{folder.name}_plain"), images=True) / "messages.mcap"))
+    for i in range(5, 100):
+        stamp = rospy.Time(0, START) + rospy.Duration.from_sec(0.01 * i)
+        R = rotation_about(0, math.pi + 0.02 * (-1) ** (i // 10))
+        for frame, x in (("measured", 0.0), ("desired", 0.1))[: 1 + (i < 50)]:
+            T = pose(R, (0.4 + x + 0.001 * i, 0.1, 0.3))
+            edge = stamped_transform(T, "kuka/base_frame", f"kuka/tool_frame/{frame}", stamp)
+            found.append(stored("/tf", TFMessage([edge]), 0.01 * i))
+        found.append(stored("/kuka/joint_torques_external", jointTorquesExternal(edge.header, *range(1, 8)), 0.01 * i))
+    return write_recording(folder, sorted(found, key=lambda one: one.received), name="x", task="lift the cup")
+
+
+@pytest.mark.ros
+def test_rows_of_the_robot_are_its_state_and_the_next_desired_tool(tmp_path):
+    (one,) = exported_episodes([led_and_seen(tmp_path / "one")], 20, "", robot=True)
+    assert {key: feature["names"] for key, feature in one.features.items()} == {
+        "observation.state": list(actions.STATE),
+        "action": list(actions.ACTION),
+        "observation.images.color": ["height", "width", "channels"],
+    }
+    assert not one.leader and set(one.vectors()) == {"observation.state", "action"}
+    state, action = one.vectors()["observation.state"], one.vectors()["action"]
+    t = one.rows.times - BEGIN
+    assert t[0] == pytest.approx(0.05) and len(t) == len(state) == len(action) == 19, "from the first pose of the tool"
+    np.testing.assert_allclose(state[:, 0], t, atol=0.011)
+    np.testing.assert_array_equal(state[:, 7:14], [range(1, 8)] * len(t))
+    np.testing.assert_allclose(state[:, 18], 0.4 + 0.1 * t, atol=0.0011)
+    here = len(t) - 1
+    ahead = np.where(t[1:] < 0.99, 0.4 + 0.1 * t[1:], 0.0) + np.where(t[1:] < 0.5, 0.1, 0.0)
+    held = (t[1:] >= 0.5) & (t[1:] < 0.98)  # the last desired tool counts for half a second
+    ahead[held] = 0.549
+    np.testing.assert_allclose(action[:here, 0], ahead, atol=0.0011)
+    np.testing.assert_array_equal(action[:, 7:], [[0.5] * 4] * len(t))
+    for q in (state[:, 21:], action[:, 3:7]):
+        assert (np.diff(q, axis=0) ** 2).sum(axis=1).max() < 0.001, "no quaternion turns round"
+        np.testing.assert_allclose(np.abs(q[:, 0]), 1.0, atol=1e-3)
+    (all_of_it,) = exported_episodes([tmp_path / "one"], 20, "")
+    flat = all_of_it.signals.rows["observation.tool_pose"][2:, 3:]
+    assert (np.diff(flat, axis=0) ** 2).sum(axis=1).max() < 0.001
+
+
+@pytest.mark.ros
+def test_without_a_hand_or_a_tool_there_is_no_robot(tmp_path):
+    with pytest.raises(RecordingFault, match="has no pose of the tool, which the robot"):
+        exported_episodes([session(tmp_path / "plain", images=False)], 20, "", robot=True)
+    found = [one for one in messages(led_and_seen(tmp_path / "one") / "messages.mcap") if "reflex" not in one.topic]
+    armless = write_recording(tmp_path / "armless", found, name="x", task="lift the cup")
+    with pytest.raises(RecordingFault, match="has no robot hand, which the robot"):
+        exported_episodes([armless], 20, "", robot=True)
+
+
+FITS = """
+import sys
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.utils import hw_to_dataset_features
+from lerobot_robot_leap_rig import LeapRigRobot, LeapRigRobotConfig
+robot = LeapRigRobot(LeapRigRobotConfig(images={"color": [16, 32]}))
+wanted = hw_to_dataset_features(robot.action_features, "action")
+wanted.update(hw_to_dataset_features(robot.observation_features, "observation"))
+found = LeRobotDataset("leap_rig/set", root=sys.argv[1], video_backend="pyav").meta.features
+for key, feature in wanted.items():
+    for part in ("dtype", "names", "shape"):
+        assert list(found[key][part]) == list(feature[part]), (key, part, found[key], feature)
+own = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
+assert set(found) == set(wanted) | own, set(found)
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.real
+def test_the_dataset_of_the_robot_is_as_lerobot_records_it(tmp_path):
+    if not LEROBOT.is_file():
+        pytest.skip("LeRobot is not installed: make lerobot")
+    command = ["rosrun", "leap_rig", "export_recording.py", str(led_and_seen(tmp_path / "one"))]
+    command += ["--lerobot", str(tmp_path / "set"), "--robot", "--fps", "20", "--size", "32x16"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    paths = [ROOT / "integrations" / name for name in ("leap_rig_link", "lerobot_robot_leap_rig")]
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONPATH": ":".join(map(str, paths))}
+    fits = [str(LEROBOT), "-c", FITS, str(tmp_path / "set")]
+    done = subprocess.run(fits, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 PHASES = {
     "free": ("running", "none", 0, 0),
     "policy": ("holding", "led", 1, 0),
@@ -668,7 +762,7 @@ def test_other_tools_read_the_bag_of_ros2(tmp_path):
 def exported(*names, **options):
     from leap_rig.recording.ros.export_program import _parser, export
 
-    arguments = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    arguments = [f"--{name}" if value is True else f"--{name}={value}" for name, value in options.items()]
     return export(_parser().parse_args([*map(str, names), *arguments]))
 
 
@@ -761,6 +855,7 @@ def test_further_topics_of_the_recording_are_exported_too(tmp_path):
         ("frames", {"topic": "/tf"}),
         ("csv", {"topic": "/tf"}),
         ("csv", {"size": "160x120"}),
+        ("csv", {"robot": True}),
     ],
 )
 def test_what_an_export_would_not_heed_is_refused(tmp_path, to, options):

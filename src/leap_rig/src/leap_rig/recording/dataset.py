@@ -11,8 +11,12 @@ import cv2
 import numpy as np
 
 from common.episode_marks import SUCCESS as SUCCEEDED
+from leap_rig.lerobot.actions import ACTION as ROBOT_ACTION
+from leap_rig.lerobot.actions import FINGERS
+from leap_rig.lerobot.actions import STATE as ROBOT_STATE
 from leap_rig.recording import topics
 from leap_rig.recording.episode import (
+    ARM,
     DEPTH_CODE,
     IMAGE,
     TrainingEpisode,
@@ -24,7 +28,7 @@ from leap_rig.recording.leader import read_leader
 from leap_rig.recording.recording_files import RecordingFault, between
 from leap_rig.recording.run import MessageDecoders, read
 from leap_rig.recording.session import LABEL, read_label
-from leap_rig.recording.signals import SignalTable, moving, read_signals
+from leap_rig.recording.signals import AGE, SignalTable, moving, read_signals
 
 STATE, ACTION, SUCCESS, IMAGES = "observation.state", "action", "next.success", "observation.images."
 POLICY_LED, INTERVENTION = "policy_led", "intervention"  # who gave the action of a row
@@ -32,6 +36,7 @@ KNOWN = {topics.COLOR: "color", topics.DEPTH: "depth"}
 """Names of the rig's own cameras; those of others follow from their topics."""
 FLAG = {"dtype": "bool", "shape": (1,), "names": None}
 ENDLESS = float("inf")
+SILENT_S = 0.5  # an older desired tool leads no longer
 
 
 class ExportedEpisode(NamedTuple):
@@ -65,13 +70,15 @@ def exported_episodes(
     end: float = ENDLESS,
     trim: bool = False,
     size: Sequence[int] | None = None,
+    robot: bool = False,
 ) -> list[ExportedEpisode]:
     """Returns an episode for each recording; `task` for those that name none; `start` and `end` cut each [s], `trim`
-    cuts what does not move at its ends; `size` of the images. Raises RecordingFault if a recording has no task, or the
-    recordings do not fit together."""
+    cuts what does not move at its ends; `size` of the images; `robot`: see `as_robot`. Raises RecordingFault if a
+    recording has no task, or the recordings do not fit together."""
     episodes: list[ExportedEpisode] = []
     for recording in recordings:
-        episodes.append(_episode(recording, fps, task, start, end, trim, size))
+        one = _episode(recording, fps, task, start, end, trim, size)
+        episodes.append(as_robot(one) if robot else one)
         if episodes[-1].features != episodes[0].features:
             raise RecordingFault(f"{recording} has other signals than the first one, so they are not one dataset.")
         for key, rows in episodes[-1].vectors().items():
@@ -125,6 +132,39 @@ def _episode(
         origin.update(asdict(label), success=label.outcome == SUCCEEDED)
         features[SUCCESS] = dict(FLAG)
     return ExportedEpisode(recording, words, rows, signals, leader, cameras, size, features, origin)
+
+
+def as_robot(one: ExportedEpisode) -> ExportedEpisode:
+    """Returns only what LeRobot records of `--robot.type=leap_rig`, so that a policy that learns from it can move the
+    rig: its state, colour images, and as the action the desired tool of the next row, or where no one led it the
+    measured one. Raises RecordingFault without a hand, or if the tool is not known."""
+    rows, signals = one.rows, one.signals.rows
+    ages = dict(zip(one.signals.names[AGE], signals[AGE].T))
+    known = np.flatnonzero(ages["observation.tool_pose"] >= 0.0)
+    if rows.state.shape[1] != len(ARM) + len(FINGERS) or not len(known):
+        lacks = "pose of the tool" if rows.state.shape[1] > len(ARM) else "robot hand"
+        raise RecordingFault(f"{one.recording} has no {lacks}, which the robot of LeRobot's plug-in has.")
+    desired, tool = signals["action.desired_tool"], signals["observation.tool_pose"]
+    age = ages["action.desired_tool"]
+    led = (age >= 0.0) & (age <= SILENT_S)
+    following = np.minimum(np.arange(len(tool)) + 1, len(tool) - 1)
+    parts = rows.state[:, : len(ARM)], signals["observation.external_torque"], rows.state[:, len(ARM) :], tool
+    state = np.hstack(parts)
+    action = np.hstack([np.where(led[:, None], desired, tool)[following], rows.action[:, len(ARM) :]])
+    numbers = {STATE: ROBOT_STATE, ACTION: ROBOT_ACTION}
+    features: dict[str, Any] = {
+        key: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for key, names in numbers.items()
+    }
+    cameras = {key: topic for key, topic in one.cameras.items() if topic != topics.DEPTH}
+    features.update({key: one.features[key] for key in cameras})
+    units = dict.fromkeys(numbers, "rad; torques Nm; tool m, and a quaternion, in kuka/base_frame")
+    return one._replace(
+        rows=_part(replace(rows, state=state, action=action), slice(int(known[0]), None)),
+        signals=SignalTable({}, units, {}),
+        leader={},
+        cameras=cameras,
+        features=features,
+    )
 
 
 def camera_name(topic: str) -> str:

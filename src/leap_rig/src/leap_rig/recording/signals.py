@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from common.robot_hand import HAND
-from common.rotations import quaternion_from_rotation
+from common.rotations import quaternions_from_rotations, steady_quaternion
 from leap_rig.recording import topics
 from leap_rig.recording.recording_files import RecordingFault, between
 from leap_rig.recording.run import MessageDecoders, RecordedRun
@@ -184,7 +184,8 @@ def moving(action: np.ndarray, fps: int) -> slice:
 
 
 def _flat(T: np.ndarray) -> np.ndarray:
-    return np.array([[*one[:3, 3], *quaternion_from_rotation(one[:3, :3])] for one in T]).reshape(-1, len(POSE))
+    q = quaternions_from_rotations(T[:, :3, :3])
+    return np.hstack([T[:, :3, 3], steady_quaternion(q)])
 
 
 def _velocities(run: RecordedRun, times: np.ndarray) -> np.ndarray:

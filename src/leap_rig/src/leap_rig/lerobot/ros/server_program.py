@@ -28,10 +28,11 @@ from common.ros.files import home
 from common.ros.node import join, run_program
 from common.ros.policy_input import POLICY_ACTIONS, refuse_second_program
 from common.ros.service_calls import call
+from common.rotations import steady_quaternion
 from common.teleop_record import LED
 from kuka_msgs.msg import jointPositions, jointTorquesExternal
 from leap_rig.cockpit.frame_poses import Pose7
-from leap_rig.lerobot.actions import ACTION, FINGERS, HOLDS_S, POSE, action_fault
+from leap_rig.lerobot.actions import ACTION, FINGERS, HOLDS_S, JOINTS, POSE, action_fault
 from leap_rig.lerobot.server import LerobotServer
 from leap_rig.recording.dataset import camera_name
 from leap_rig.recording.topics import COLOR
@@ -44,7 +45,6 @@ ANOTHER_S = 1.0  # without an action for so long, the program that moves the too
 LED_S = 0.5  # after the first action leap_kuka has said whether it leads the tool
 RUN_POLICY = "leap_kuka/run_policy"
 ANSWER_S, THERE_S, POLL_S = 2.0, 10.0, 0.1
-JOINTS = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 
 
 class RigDesk:
@@ -102,7 +102,8 @@ class RigDesk:
             raise DeviceError(f"The image of {name} cannot be read: {error}.") from error
 
     def _tool(self, frame: str) -> Pose7 | None:
-        return self._newest.pose(self._newest.frames(frame), SILENT_S)
+        found = self._newest.pose(self._newest.frames(frame), SILENT_S)
+        return None if found is None else (*found[:3], *steady_quaternion(found[3:]).tolist())
 
     def _intent(self) -> dict[str, float]:
         """Returns what the operator wants: the desired tool and the commanded fingers; without, where they are."""

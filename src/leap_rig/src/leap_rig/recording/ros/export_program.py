@@ -56,6 +56,7 @@ def export(options: argparse.Namespace) -> int:
         if remark:
             print(remark, file=sys.stderr)
     cut = {"start": options.start, "end": options.end, "trim": options.trim, "size": options.size}
+    cut["robot"] = options.robot
     if options.lerobot is not None:
         return _to_lerobot(folders, options, cut)
     for path, writer in ((options.hdf5, hdf5_export), (options.rows, rows_export)):
@@ -120,6 +121,7 @@ def _refuse_unheeded(options: argparse.Namespace) -> None:
         return
     to = next(f"--{name}" for name in ("frames", "csv", *DATASETS) if getattr(options, name) is not None)
     given = {"--topic": options.topic is not None, "--trim": options.trim, "--size": options.size}
+    given["--robot"] = options.robot
     if to[2:] in DATASETS:
         given = {"--topic": given["--topic"]}
     for option in (option for option, is_given in given.items() if is_given):
@@ -199,6 +201,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--trim", action="store_true", help="of a dataset: leave out what does not move at the ends")
     small = "width and height of its images, such as 160x120 (default: as they were taken)"
     parser.add_argument("--size", type=_size, metavar="WxH", help=small)
+    robot = "of a dataset: only what LeRobot records of --robot.type=leap_rig, so that its policies move the rig"
+    parser.add_argument("--robot", action="store_true", help=robot)
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
     python = "Python with LeRobot, or with ROS 2 (default: that of `make lerobot` or `make ros2`)"
     parser.add_argument("--python", type=Path, help=python)
