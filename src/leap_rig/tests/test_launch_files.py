@@ -140,6 +140,8 @@ VIEW = {"/operator_view"}
         (["rviz:=true", "world:=false"], set(), CAMERA | NETWORK),
         (["rviz:=false", "camera:=true"], CAMERA, NETWORK),
         (["rviz:=false", "scenario:=assisted_grasp"], CAMERA | NETWORK, set()),
+        (["rviz:=false", "scenario:=policy"], CAMERA | {"/policy"}, NETWORK),
+        (["rviz:=false", "scenario:=policy", "policy:=none"], CAMERA | {"/operator"}, {"/policy"}),
         (["rviz:=true", "sim:=false"], set(), CAMERA | NETWORK),
         (["rviz:=false", "tracker:=headset"], CAMERA | VIEW | {"/stereo_web", "/operator"}, NETWORK | {"/leapd"}),
         (["rviz:=false", "tracker:=headset", "sim:=false"], VIEW | {"/stereo_web"}, CAMERA | {"/leapd"}),
