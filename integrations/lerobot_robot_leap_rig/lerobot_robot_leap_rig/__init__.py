@@ -19,7 +19,7 @@ from lerobot.robots import Robot, RobotConfig
 @RobotConfig.register_subclass("leap_rig")
 @dataclass(kw_only=True)
 class LeapRigRobotConfig(RobotConfig):
-    """Options of the command line, `--robot.images='{color: [480, 640]}'`; smaller ones are scaled."""
+    """Options of the command line, `--robot.images='{color: [480, 640]}'`, to which they are scaled."""
 
     socket: str = ""  # empty: where lerobot_server.py listens by itself
     images: dict[str, list[int]] = field(default_factory=lambda: {"color": [480, 640]})  # height, width
@@ -75,11 +75,12 @@ class LeapRigRobot(Robot):
             if name not in images:
                 raise RigLinkError(f"The rig sends no images of {name}; name its topic with --camera of its server.")
             image = cv2.imdecode(np.frombuffer(images[name], np.uint8), cv2.IMREAD_COLOR)
-            if image is None or image.shape[0] < shape[0] or image.shape[1] < shape[1]:
+            height, width = shape
+            if image is None or min(shape) < 1 or abs(image.shape[0] * width / image.shape[1] - height) > 1.0:
                 seen = "damaged" if image is None else f"{image.shape[0]} x {image.shape[1]}"
-                raise RigLinkError(f"The image of {name} is {seen}, but {shape[0]} x {shape[1]} is configured.")
-            small = cv2.resize(image, tuple(shape)[::-1], interpolation=cv2.INTER_AREA)
-            observation[name] = cv2.cvtColor(small, cv2.COLOR_BGR2RGB)
+                raise RigLinkError(f"The image of {name} is {seen}, but {height} x {width} is configured.")
+            scaled = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+            observation[name] = cv2.cvtColor(scaled, cv2.COLOR_BGR2RGB)
         return observation
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ def action(x=0.5, **values):
         (action(tool_x=True), "not a finite number"),
         (action(tool_z=3.0), "from the base"),
         (action(tool_qw=0.69), "the length 0.69, not about 1"),
+        (action(tool_qw=1.31), "the length 1.31, not about 1"),
         (action(index_pos=5.0), "index.pos"),
         (action(more=1.0), "look at more"),
         ({}, "needs tool.x"),

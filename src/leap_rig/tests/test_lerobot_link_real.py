@@ -174,7 +174,7 @@ robot.connect(), teleop.connect()
 seen, wanted = robot.get_observation(), teleop.get_action()
 sent = robot.send_action(wanted)
 sizes = []
-for size in ([24, 32], [48, 65]):
+for size in ([24, 32], [96, 128], [64, 48], [50, 64], [0, 0]):
     robot.config.images = {"color": size}
     try:
         sizes.append(list(robot.get_observation()["color"].shape))
@@ -217,4 +217,5 @@ def test_lerobot_finds_the_plug_ins_and_drives_them(rig, tmp_path):
     assert found["observed"] == found["features"] and found["action"] == found["teleop"] == sorted(actions.ACTION)
     assert found["sent"] == found["wanted"] == rig.intent and rig.taken == [rig.intent] and found["connected"]
     assert found["image"][0] == [48, 64, 3] and found["image"][1] == pytest.approx([200, 60, 30], abs=6)
-    assert found["sizes"] == [[24, 32, 3], "The image of color is 48 x 64, but 48 x 65 is configured."]
+    refused = [f"The image of color is 48 x 64, but {size} is configured." for size in ("64 x 48", "50 x 64", "0 x 0")]
+    assert found["sizes"] == [[24, 32, 3], [96, 128, 3], *refused]

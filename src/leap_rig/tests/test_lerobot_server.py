@@ -58,8 +58,8 @@ class PublishedRig:
             self.place(self.of + MEASURED, tool, f"{self.of}kuka/base_frame")
         clock.sleep(LATE_S)
 
-    def place(self, frame, x, parent="kuka/base_frame"):
-        at = Transform(Vector3(x, 0.0, 0.4), Quaternion(0.0, 0.0, 0.0, 1.0))
+    def place(self, frame, x, parent="kuka/base_frame", q=(0.0, 0.0, 0.0, 1.0)):
+        at = Transform(Vector3(x, 0.0, 0.4), Quaternion(*q))
         self.tf.sendTransform(TransformStamped(Header(0, rospy.Time.now(), parent), frame, at))
 
 
@@ -123,6 +123,10 @@ def test_the_intent_is_what_the_hand_commands_else_where_the_rig_is(published):
     clock.sleep(LATE_S)
     found = rig.answer({"do": "intent"}, 1)[0]["action"]
     assert (found["tool.x"], found["spread.pos"]) == (0.6, 0.75)
+    published.place(DESIRED, 0.6, q=(0.0, -1.0, 0.0, 0.0))
+    clock.sleep(LATE_S)
+    found = rig.answer({"do": "intent"}, 1)[0]["action"]
+    assert [found[f"tool.q{axis}"] for axis in "xyzw"] == [0.0, 1.0, 0.0, 0.0], "as in a dataset"
 
 
 def test_actions_go_to_who_leads_the_tool_which_says_why_it_does_not(published, virtual_graph):

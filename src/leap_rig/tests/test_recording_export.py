@@ -25,7 +25,7 @@ from recordings import START, stored, write_recording
 from common.poses import pose
 from common.rotations import rotation_about, rotation_from_quaternion
 from leap_rig.lerobot import actions
-from leap_rig.recording import csv_export, hdf5_export, read, rows_export
+from leap_rig.recording import csv_export, dataset, hdf5_export, read, rows_export
 from leap_rig.recording.dataset import exported_episodes
 from leap_rig.recording.episode import ARM, HAND, color_image, depth_image, training_episode
 from leap_rig.recording.leader import leader, read_leader
@@ -435,47 +435,66 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert again.returncode == 1 and "exists already" in again.stderr
 
 
-def led_and_seen(folder):
-    """A recording as `session` makes it, with a tool that moves along x and is to be 0.1 m ahead of it until 0.5 s;
-    both turn by 0.02 rad to either side of pointing down."""
+def led_and_seen(folder, without=()):
+    """A recording as `session` makes it, with depths from 0.5 s on, torques from 0.12 s on, a tool from 0.05 s on that
+    moves along x and is to be 0.1 m ahead of it from 0.2 s to 0.3 s; both turn by 0.02 rad to either side of pointing
+    down; bent fingers. `without`: topics and frames that it lacks."""
     import rospy
+    from sensor_msgs.msg import Image
+    from std_msgs.msg import Header
     from tf2_msgs.msg import TFMessage
 
     from common.ros.conversions import stamped_transform
     from kuka_msgs.msg import jointTorquesExternal
+    from reflex_msgs.msg import Hand, Motor
 
-    found = list(messages(session(folder.with_name(f"{folder.name}_plain"), images=True) / "messages.mcap"))
-    for i in range(5, 100):
-        stamp = rospy.Time(0, START) + rospy.Duration.from_sec(0.01 * i)
+    plain = messages(session(folder.with_name(f"{folder.name}_plain"), images=True) / "messages.mcap")
+    found = [one for one in plain if one.topic != "/reflex_takktile/hand_state"]
+    for i in range(100):
+        stamp, at = rospy.Time(0, START) + rospy.Duration.from_sec(0.01 * i), 0.01 * i
         R = rotation_about(0, math.pi + 0.02 * (-1) ** (i // 10))
-        for frame, x in (("measured", 0.0), ("desired", 0.1))[: 1 + (i < 50)]:
+        frames = {"measured": (0.0, range(5, 100)), "desired": (0.1, range(20, 31))}
+        for frame, (x, when) in frames.items():
             T = pose(R, (0.4 + x + 0.001 * i, 0.1, 0.3))
             edge = stamped_transform(T, "kuka/base_frame", f"kuka/tool_frame/{frame}", stamp)
-            found.append(stored("/tf", TFMessage([edge]), 0.01 * i))
-        found.append(stored("/kuka/joint_torques_external", jointTorquesExternal(edge.header, *range(1, 8)), 0.01 * i))
-    return write_recording(folder, sorted(found, key=lambda one: one.received), name="x", task="lift the cup")
+            found += [stored("/tf", TFMessage([edge]), at)] * (i in when and frame not in without)
+        if i >= 12:
+            torques = jointTorquesExternal(Header(0, stamp, ""), *range(1, 8))
+            found.append(stored("/kuka/joint_torques_external", torques, at))
+        angles = [Motor(joint_angle=0.1 * joint + 0.001 * i) for joint in range(4)]
+        found.append(stored("/reflex_takktile/hand_state", Hand(motor=angles), at))
+        if i >= 50:
+            depth = Image(Header(0, stamp, ""), 64, 96, "16UC1", 0, 192, bytes(64 * 192))
+            found.append(stored("/camera/depth/image", depth, at))
+    kept = sorted((one for one in found if one.topic not in without), key=lambda one: one.received)
+    return write_recording(folder, kept, name="x", task="lift the cup")
 
 
 @pytest.mark.ros
-def test_rows_of_the_robot_are_its_state_and_the_next_desired_tool(tmp_path):
-    (one,) = exported_episodes([led_and_seen(tmp_path / "one")], 20, "", robot=True)
+def test_rows_of_the_robot_are_its_state_and_the_next_desired_tool(tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset, "SILENT_S", 0.25)
+    fps = 23  # no row at the time of a message
+    (one,) = exported_episodes([led_and_seen(tmp_path / "one")], fps, "", robot=True)
     assert {key: feature["names"] for key, feature in one.features.items()} == {
         "observation.state": list(actions.STATE),
         "action": list(actions.ACTION),
         "observation.images.color": ["height", "width", "channels"],
     }
-    assert not one.leader and set(one.vectors()) == {"observation.state", "action"}
+    assert not one.leader and set(one.vectors()) == set(one.signals.names) == {"observation.state", "action"}
+    assert {key: len(list(of)) for key, of in one.images().items()} == {"observation.images.color": 19}
     state, action = one.vectors()["observation.state"], one.vectors()["action"]
     t = one.rows.times - BEGIN
-    assert t[0] == pytest.approx(0.05) and len(t) == len(state) == len(action) == 19, "from the first pose of the tool"
-    np.testing.assert_allclose(state[:, 0], t, atol=0.011)
+    np.testing.assert_allclose(t, np.arange(3, 22) / fps, atol=1e-6)  # with torques, to the last but one
+    stamps, following = (0.01 * np.floor(100.0 * at) for at in (t, t + 1.0 / fps))  # of what had come
+    np.testing.assert_allclose(state[:, :7], np.tile(stamps[:, None], 7), atol=1e-6)
     np.testing.assert_array_equal(state[:, 7:14], [range(1, 8)] * len(t))
-    np.testing.assert_allclose(state[:, 18], 0.4 + 0.1 * t, atol=0.0011)
-    here = len(t) - 1
-    ahead = np.where(t[1:] < 0.99, 0.4 + 0.1 * t[1:], 0.0) + np.where(t[1:] < 0.5, 0.1, 0.0)
-    held = (t[1:] >= 0.5) & (t[1:] < 0.98)  # the last desired tool counts for half a second
-    ahead[held] = 0.549
-    np.testing.assert_allclose(action[:here, 0], ahead, atol=0.0011)
+    np.testing.assert_allclose(state[:, 14:18], 0.1 * np.arange(4) + 0.1 * stamps[:, None], atol=1e-6)
+    np.testing.assert_allclose(state[:, 18:21], [(0.4 + 0.1 * at, 0.1, 0.3) for at in stamps], atol=1e-6)
+    led = (t + 1.0 / fps > 0.2) & (t + 1.0 / fps < 0.55)  # the last desired tool is of 0.3 s
+    assert led.any() and not led[0] and not led[-1]
+    tool = np.where(led, 0.5 + 0.1 * np.minimum(following, 0.3), 0.4 + 0.1 * following)
+    np.testing.assert_allclose(action[:, 0], tool, atol=1e-6)
+    np.testing.assert_allclose(action[:, 1:3], [(0.1, 0.3)] * len(t), atol=1e-6)
     np.testing.assert_array_equal(action[:, 7:], [[0.5] * 4] * len(t))
     for q in (state[:, 21:], action[:, 3:7]):
         assert (np.diff(q, axis=0) ** 2).sum(axis=1).max() < 0.001, "no quaternion turns round"
@@ -486,13 +505,62 @@ def test_rows_of_the_robot_are_its_state_and_the_next_desired_tool(tmp_path):
 
 
 @pytest.mark.ros
-def test_without_a_hand_or_a_tool_there_is_no_robot(tmp_path):
-    with pytest.raises(RecordingFault, match="has no pose of the tool, which the robot"):
-        exported_episodes([session(tmp_path / "plain", images=False)], 20, "", robot=True)
-    found = [one for one in messages(led_and_seen(tmp_path / "one") / "messages.mcap") if "reflex" not in one.topic]
-    armless = write_recording(tmp_path / "armless", found, name="x", task="lift the cup")
-    with pytest.raises(RecordingFault, match="has no robot hand, which the robot"):
-        exported_episodes([armless], 20, "", robot=True)
+@pytest.mark.parametrize(
+    ("without", "said"),
+    [
+        ("measured", "has no tool pose with torques, which the plug-in's robot has"),
+        ("/kuka/joint_torques_external", "has no tool pose with torques, which"),
+        ("/reflex_takktile/hand_state", "has no robot hand, which"),
+        ("/camera/rgb/image_raw", "has no colour images, which"),
+    ],
+)
+def test_what_lacks_a_part_of_the_robot_is_refused(tmp_path, without, said):
+    with pytest.raises(RecordingFault, match=said):
+        exported_episodes([led_and_seen(tmp_path / "one", [without])], 20, "", robot=True)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("topic", "name", "longest"),
+    [("/tf", "tool pose", "SILENT_S"), ("/kuka/joint_torques_external", "torques", "SLOW_S")],
+)
+def test_what_was_silent_too_long_is_not_exported_as_if_it_stood(tmp_path, monkeypatch, topic, name, longest):
+    found = list(messages(led_and_seen(tmp_path / "one") / "messages.mcap"))
+    gap = [one for one in found if one.topic != topic or not 0.3 < 1e-9 * one.received - BEGIN < 0.8]
+    recording = write_recording(tmp_path / "gap", gap, name="x", task="lift the cup")
+    exported_episodes([recording], 20, "", robot=True)
+    monkeypatch.setattr(dataset, longest, 0.4)
+    with pytest.raises(RecordingFault, match=f"In .*gap no {name} came for 0.5 s; leave it out"):
+        exported_episodes([recording], 20, "", robot=True)
+
+
+@pytest.mark.ros
+def test_what_a_policy_did_is_not_exported_as_what_is_to_be_learned(tmp_path):
+    import rospy
+    from std_msgs.msg import Header
+
+    from rig_msgs.msg import TeleopState
+
+    found = list(messages(led_and_seen(tmp_path / "one") / "messages.mcap"))
+    hold = TeleopState(Header(0, rospy.Time(0, START), ""), state="holding", hold="led")
+    led = sorted([*found, stored("/leap_kuka/state", hold, 0.3)], key=lambda one: one.received)
+    recording = write_recording(tmp_path / "led", led, name="x", task="lift the cup")
+    with pytest.raises(RecordingFault, match=r"A policy led \d+ rows of .*led; leave it out"):
+        exported_episodes([recording], 20, "", robot=True)
+
+
+@pytest.mark.ros
+def test_other_formats_have_the_rows_of_the_robot_as_well(tmp_path, capsys):
+    folder = led_and_seen(tmp_path / "one")
+    assert exported(folder, hdf5=tmp_path / "set.hdf5", fps=20, robot=True) == 0
+    assert exported(folder, rows=tmp_path / "set.mcap", fps=20, robot=True) == 0
+    assert capsys.readouterr().out.count("Wrote 1 episodes with 16 rows") == 2
+    (one,) = exported_episodes([folder], 20, "", robot=True)
+    with h5py.File(tmp_path / "set.hdf5") as file:
+        np.testing.assert_array_equal(file["data/demo_0/actions"], one.vectors()["action"])
+        assert set(file["data/demo_0/obs"]) == {"state", "images.color"}
+        units = json.loads(file["data"].attrs["leap_rig"])["units"]
+        assert units == dict(one.signals.units) and "Nm" in units["observation.state"] not in units["action"]
 
 
 FITS = """

@@ -24,7 +24,7 @@ _PRODUCTS = np.array([
 ], dtype=float).T  # fmt: skip
 _ONES = np.eye(4).ravel()
 """R, row by row, times _PRODUCTS, plus _ONES, is 4 q q' of the quaternion q = x, y, z, w of the rotation R."""
-_SIDE = np.array([0.5, 0.75, 0.2, 0.4])  # none of the usual orientations, all multiples of 45 degrees, is at its border
+_SIDE = np.array([0.5, 0.75, 0.2, 0.4])  # of the two quaternions of a rotation, the one to this side
 
 
 def unit(vector: ArrayLike) -> np.ndarray:
@@ -97,8 +97,9 @@ def quaternions_from_rotations(R: np.ndarray) -> np.ndarray:
 
 
 def steady_quaternion(q: ArrayLike) -> np.ndarray:
-    """Returns q or -q, which are one rotation, shape (..., 4), x, y, z, w: of a tool that points down or level, the one
-    whose numbers do not jump when it turns a little. A network cannot learn what jumps."""
+    """Returns q or -q, which are one rotation, shape (..., 4), x, y, z, w. A tool that points down may turn about the
+    vertical by any multiple of 45 degrees, and by up to 20 degrees from there, before its numbers jump, which a network
+    cannot learn; in some other orientations they jump sooner."""
     q = np.asarray(q, dtype=float)
     return q * np.where(q @ _SIDE < 0.0, -1.0, 1.0)[..., None]
 

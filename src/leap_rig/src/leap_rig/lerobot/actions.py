@@ -7,12 +7,13 @@ import math
 from collections.abc import Mapping
 
 from common.robot_hand import HAND
+from leap_rig.recording.episode import ARM as JOINTS
 
 POSE = tuple(f"tool.{part}" for part in ("x", "y", "z", "qx", "qy", "qz", "qw"))
 FINGERS = tuple(f"{motor}.pos" for motor in HAND.motors)
-JOINTS = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 ACTION = POSE + FINGERS
 STATE = (*(f"{name}.pos" for name in JOINTS), *(f"{name}.torque" for name in JOINTS), *FINGERS, *POSE)
+SILENT_S, SLOW_S = 0.5, 2.0  # what a measurement may be old; torques and images, which come less often
 FARTHEST_M, LARGEST_RAD = 2.0, 4.0  # of the base; of a motor
 HOLDS_S = 0.3  # an action, unless the next one comes
 NORM_TOLERANCE = 0.3  # of a quaternion: networks say none of length 1

@@ -12,7 +12,7 @@ import numpy as np
 
 from common.episode_marks import SUCCESS as SUCCEEDED
 from leap_rig.lerobot.actions import ACTION as ROBOT_ACTION
-from leap_rig.lerobot.actions import FINGERS
+from leap_rig.lerobot.actions import FINGERS, SILENT_S, SLOW_S
 from leap_rig.lerobot.actions import STATE as ROBOT_STATE
 from leap_rig.recording import topics
 from leap_rig.recording.episode import (
@@ -36,7 +36,6 @@ KNOWN = {topics.COLOR: "color", topics.DEPTH: "depth"}
 """Names of the rig's own cameras; those of others follow from their topics."""
 FLAG = {"dtype": "bool", "shape": (1,), "names": None}
 ENDLESS = float("inf")
-SILENT_S = 0.5  # an older desired tool leads no longer
 
 
 class ExportedEpisode(NamedTuple):
@@ -77,7 +76,7 @@ def exported_episodes(
     recording has no task, or the recordings do not fit together."""
     episodes: list[ExportedEpisode] = []
     for recording in recordings:
-        one = _episode(recording, fps, task, start, end, trim, size)
+        one = _episode(recording, fps, task, start, end, trim, size, depth=not robot)
         episodes.append(as_robot(one) if robot else one)
         if episodes[-1].features != episodes[0].features:
             raise RecordingFault(f"{recording} has other signals than the first one, so they are not one dataset.")
@@ -96,13 +95,13 @@ def about(episodes: Sequence[ExportedEpisode]) -> dict[str, Any]:
 
 
 def _episode(
-    recording: Path, fps: int, task: str, start: float, end: float, trim: bool, size: Sequence[int] | None
+    recording: Path, fps: int, task: str, start: float, end: float, trim: bool, size: Sequence[int] | None, depth: bool
 ) -> ExportedEpisode:
     run = read(recording, start, end)
     words = task or run.manifest.get("task", "")
     if not words:
         raise RecordingFault(f"{recording} does not say what is done; give --task, a sentence.")
-    first = first_images(recording)
+    first = first_images(recording, depth)
     rows = training_episode(run, fps)
     begins = max((received for received, _ in first.values()), default=0.0)
     rows = _part(rows, slice(int(np.searchsorted(rows.times, begins)), None))
@@ -135,34 +134,41 @@ def _episode(
 
 
 def as_robot(one: ExportedEpisode) -> ExportedEpisode:
-    """Returns only what LeRobot records of `--robot.type=leap_rig`, so that a policy that learns from it can move the
-    rig: its state, colour images, and as the action the desired tool of the next row, or where no one led it the
-    measured one. Raises RecordingFault without a hand, or if the tool is not known."""
+    """Returns only what the plug-in's robot has, so that a policy that learns from it can move the rig: the state,
+    colour images, and as the action the desired tool of the next row, or where nobody led it the measured one. LeRobot
+    itself records an action of the same instant. Raises RecordingFault if something is not known, was silent for too
+    long, or a policy led, whose actions would be learned."""
     rows, signals = one.rows, one.signals.rows
-    ages = dict(zip(one.signals.names[AGE], signals[AGE].T))
-    known = np.flatnonzero(ages["observation.tool_pose"] >= 0.0)
-    if rows.state.shape[1] != len(ARM) + len(FINGERS) or not len(known):
-        lacks = "pose of the tool" if rows.state.shape[1] > len(ARM) else "robot hand"
-        raise RecordingFault(f"{one.recording} has no {lacks}, which the robot of LeRobot's plug-in has.")
-    desired, tool = signals["action.desired_tool"], signals["observation.tool_pose"]
-    age = ages["action.desired_tool"]
-    led = (age >= 0.0) & (age <= SILENT_S)
-    following = np.minimum(np.arange(len(tool)) + 1, len(tool) - 1)
-    parts = rows.state[:, : len(ARM)], signals["observation.external_torque"], rows.state[:, len(ARM) :], tool
-    state = np.hstack(parts)
-    action = np.hstack([np.where(led[:, None], desired, tool)[following], rows.action[:, len(ARM) :]])
-    numbers = {STATE: ROBOT_STATE, ACTION: ROBOT_ACTION}
+    if rows.state.shape[1] != len(ARM) + len(FINGERS):
+        raise RecordingFault(f"{one.recording} has no robot hand, which the plug-in's robot has.")
+    if not any(topic != topics.DEPTH for topic in one.cameras.values()):
+        raise RecordingFault(f"{one.recording} has no colour images, which the plug-in's robot has.")
+    if one.leader[POLICY_LED].any():
+        raise RecordingFault(f"A policy led {one.leader[POLICY_LED].sum()} rows of {one.recording}; leave it out.")
+    age = dict(zip(one.signals.names[AGE], signals[AGE].T))
+    tool, torques = age["observation.tool_pose"], age["kuka.joint_torques_external"]
+    known = np.flatnonzero((tool >= 0.0) & (torques >= 0.0))
+    if len(known) < 2:
+        raise RecordingFault(f"{one.recording} has no tool pose with torques, which the plug-in's robot has.")
+    part = slice(int(known[0]), len(tool) - 1)
+    for name, ages, longest in (("tool pose", tool, SILENT_S), ("torques", torques, SLOW_S)):
+        if ages[part].max() > longest:
+            raise RecordingFault(f"In {one.recording} no {name} came for {ages[part].max():.1f} s; leave it out.")
+    led = (age["action.desired_tool"] >= 0.0) & (age["action.desired_tool"] <= SILENT_S)
+    wanted = np.where(led[:, None], signals["action.desired_tool"], signals["observation.tool_pose"])
+    joints, fingers = np.split(rows.state, [len(ARM)], axis=1)
+    state = np.hstack([joints, signals["observation.external_torque"], fingers, signals["observation.tool_pose"]])
+    action = np.hstack([wanted[1:], rows.action[:-1, len(ARM) :]])
+    names = {STATE: ROBOT_STATE, ACTION: ROBOT_ACTION}
     features: dict[str, Any] = {
-        key: {"dtype": "float32", "shape": (len(names),), "names": list(names)} for key, names in numbers.items()
+        key: {"dtype": "float32", "shape": (len(of),), "names": list(of)} for key, of in names.items()
     }
-    cameras = {key: topic for key, topic in one.cameras.items() if topic != topics.DEPTH}
-    features.update({key: one.features[key] for key in cameras})
-    units = dict.fromkeys(numbers, "rad; torques Nm; tool m, and a quaternion, in kuka/base_frame")
+    features.update({key: one.features[key] for key in one.cameras})
+    units = {STATE: "rad, Nm, and m and a quaternion in kuka/base_frame", ACTION: "m and a quaternion there, rad"}
     return one._replace(
-        rows=_part(replace(rows, state=state, action=action), slice(int(known[0]), None)),
-        signals=SignalTable({}, units, {}),
+        rows=_part(rows, part),
+        signals=SignalTable(names, units, {STATE: state[part], ACTION: action[part]}),
         leader={},
-        cameras=cameras,
         features=features,
     )
 
@@ -172,13 +178,13 @@ def camera_name(topic: str) -> str:
     return KNOWN.get(topic) or topic.strip("/").replace("/", "_")
 
 
-def first_images(recording: Path) -> dict[str, tuple[float, tuple[int, ...]]]:
-    """Returns when the first image came on each topic that has some [s], and its shape. RecordingFault: a size changes,
-    which no video has, or the encoding is one of none."""
+def first_images(recording: Path, depth: bool = True) -> dict[str, tuple[float, tuple[int, ...]]]:
+    """Returns when the first image came on each topic that has some [s], and its shape; `depth`: also of depths.
+    RecordingFault: a size changes, which no video has, or the encoding is one of none."""
     found: dict[str, tuple[float, tuple[int, ...]]] = {}
     decode = MessageDecoders()
     for message in between(recording, None, 0.0, ENDLESS):
-        if message.kind.name != IMAGE:
+        if message.kind.name != IMAGE or (message.topic == topics.DEPTH and not depth):
             continue
         fields = decode(message)
         size = fields["height"], fields["width"]

@@ -15,12 +15,12 @@ import numpy as np
 from common.robot_hand import HAND
 from common.rotations import quaternions_from_rotations, steady_quaternion
 from leap_rig.recording import topics
+from leap_rig.recording.episode import ARM as JOINTS
 from leap_rig.recording.recording_files import RecordingFault, between
 from leap_rig.recording.run import MessageDecoders, RecordedRun
 
 FINGERS = "index", "middle", "thumb"
 TAXELS = tuple(f"{finger}_{i}" for finger in FINGERS for i in range(9))
-JOINTS = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 POSE = "x", "y", "z", "qx", "qy", "qz", "qw"
 FAR_M = 10.0  # of a guard that sees nothing
 BACK_S = 0.05  # over which a joint's velocity is measured

@@ -32,7 +32,7 @@ from common.rotations import steady_quaternion
 from common.teleop_record import LED
 from kuka_msgs.msg import jointPositions, jointTorquesExternal
 from leap_rig.cockpit.frame_poses import Pose7
-from leap_rig.lerobot.actions import ACTION, FINGERS, HOLDS_S, JOINTS, POSE, action_fault
+from leap_rig.lerobot.actions import ACTION, FINGERS, HOLDS_S, JOINTS, POSE, SILENT_S, SLOW_S, action_fault
 from leap_rig.lerobot.server import LerobotServer
 from leap_rig.recording.dataset import camera_name
 from leap_rig.recording.topics import COLOR
@@ -40,7 +40,6 @@ from leap_rig.ros.newest import NewestMessages
 from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import PolicyActions, TeleopState
 
-SILENT_S, SLOW_S = 0.5, 2.0  # an older observation is a fault; older torques and images, which come less often
 ANOTHER_S = 1.0  # without an action for so long, the program that moves the tool gives way to another one
 LED_S = 0.5  # after the first action leap_kuka has said whether it leads the tool
 RUN_POLICY = "leap_kuka/run_policy"
