@@ -98,7 +98,7 @@ def test_of_a_device_that_is_silent_there_is_no_observation(published, silent):
         rig.answer({"do": "observe"}, 1)
     published.publish()
     rig.answer({"do": "observe"}, 1)
-    for _ in range(22 if "torques" in silent else 6):
+    for _ in range(32 if "torques" in silent else 6):
         published.publish(silent)
     with pytest.raises(DeviceError, match=f"{silent} has said nothing"):
         rig.answer({"do": "observe"}, 1)
