@@ -148,7 +148,7 @@ def test_actions_go_to_who_leads_the_tool_which_says_why_it_does_not(published, 
     assert acted(hold="none", reason="right hand 8 is followed") == (
         "The action moves nothing: right hand 8 is followed."
     )
-    later = [acted() for _ in range(25)]
+    later = [acted() for _ in range(35)]
     assert later[15] == "The action moves nothing: right hand 8 is followed."
     assert later[-1] == "The action moves nothing: leap_kuka says nothing."
     clock.sleep(1.0)

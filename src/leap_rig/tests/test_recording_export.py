@@ -526,11 +526,11 @@ def test_what_lacks_a_part_of_the_robot_is_refused(tmp_path, without, said):
 )
 def test_what_was_silent_too_long_is_not_exported_as_if_it_stood(tmp_path, monkeypatch, topic, name, longest):
     found = list(messages(led_and_seen(tmp_path / "one") / "messages.mcap"))
-    gap = [one for one in found if one.topic != topic or not 0.3 < 1e-9 * one.received - BEGIN < 0.8]
+    gap = [one for one in found if one.topic != topic or not 0.3 < 1e-9 * one.received - BEGIN < 0.77]
     recording = write_recording(tmp_path / "gap", gap, name="x", task="lift the cup")
     exported_episodes([recording], 20, "", robot=True)
     monkeypatch.setattr(dataset, longest, 0.4)
-    with pytest.raises(RecordingFault, match=f"In .*gap no {name} came for 0.5 s; leave it out"):
+    with pytest.raises(RecordingFault, match=f"In .*gap no {name} came for 0.[45] s; leave it out"):
         exported_episodes([recording], 20, "", robot=True)
 
 
@@ -542,7 +542,7 @@ def test_what_a_policy_did_is_not_exported_as_what_is_to_be_learned(tmp_path):
     from rig_msgs.msg import TeleopState
 
     found = list(messages(led_and_seen(tmp_path / "one") / "messages.mcap"))
-    hold = TeleopState(Header(0, rospy.Time(0, START), ""), state="holding", hold="led")
+    hold = TeleopState(header=Header(0, rospy.Time(0, START), ""), state="holding", hold="led")
     led = sorted([*found, stored("/leap_kuka/state", hold, 0.3)], key=lambda one: one.received)
     recording = write_recording(tmp_path / "led", led, name="x", task="lift the cup")
     with pytest.raises(RecordingFault, match=r"A policy led \d+ rows of .*led; leave it out"):
