@@ -446,10 +446,10 @@ def led_and_seen(folder, without=()):
 
     from common.ros.conversions import stamped_transform
     from kuka_msgs.msg import jointTorquesExternal
-    from reflex_msgs.msg import Hand, Motor
+    from reflex_msgs.msg import Hand, Motor, RadianServoCommands
 
     plain = messages(session(folder.with_name(f"{folder.name}_plain"), images=True) / "messages.mcap")
-    found = [one for one in plain if one.topic != "/reflex_takktile/hand_state"]
+    found = [one for one in plain if "reflex" not in one.topic]
     for i in range(100):
         stamp, at = rospy.Time(0, START) + rospy.Duration.from_sec(0.01 * i), 0.01 * i
         R = rotation_about(0, math.pi + 0.02 * (-1) ** (i // 10))
@@ -463,6 +463,7 @@ def led_and_seen(folder, without=()):
             found.append(stored("/kuka/joint_torques_external", torques, at))
         angles = [Motor(joint_angle=0.1 * joint + 0.001 * i) for joint in range(4)]
         found.append(stored("/reflex_takktile/hand_state", Hand(motor=angles), at))
+        found.append(stored("/reflex_takktile/radian_hand_command", RadianServoCommands([at] * 4), at))
         if i >= 50:
             depth = Image(Header(0, stamp, ""), 64, 96, "16UC1", 0, 192, bytes(64 * 192))
             found.append(stored("/camera/depth/image", depth, at))
@@ -495,7 +496,7 @@ def test_rows_of_the_robot_are_its_state_and_the_next_desired_tool(tmp_path, mon
     tool = np.where(led, 0.5 + 0.1 * np.minimum(following, 0.3), 0.4 + 0.1 * following)
     np.testing.assert_allclose(action[:, 0], tool, atol=1e-6)
     np.testing.assert_allclose(action[:, 1:3], [(0.1, 0.3)] * len(t), atol=1e-6)
-    np.testing.assert_array_equal(action[:, 7:], [[0.5] * 4] * len(t))
+    np.testing.assert_allclose(action[:, 7:], np.tile(following[:, None], 4), atol=1e-6)
     for q in (state[:, 21:], action[:, 3:7]):
         assert (np.diff(q, axis=0) ** 2).sum(axis=1).max() < 0.001, "no quaternion turns round"
         np.testing.assert_allclose(np.abs(q[:, 0]), 1.0, atol=1e-3)
