@@ -37,7 +37,10 @@ def test_what_roslaunch_adds_is_ignored_and_nothing_else(capsys):
     assert parse_options(parser, ["--seed", "3", "__name:=x"]).seed == 3
     with pytest.raises(SystemExit):
         parse_options(parser, ["stray"])
-    assert "unknown arguments: stray" in capsys.readouterr().err
+    assert "unrecognized arguments: stray" in capsys.readouterr().err
+    parser.add_argument("files", nargs="+")
+    for last in ("film.mp4", "-film.mp4"):
+        assert parse_options(parser, ["--seed", "3", "--", last, "__name:=x", "__log:=/a b"]).files == [last]
 
 
 @pytest.mark.parametrize("error", [RigError("no arm"), OSError("no arm")])

@@ -322,6 +322,18 @@ def lift_file(folder, hand=REFLEX, ggcnn=GGCNN, **changes):
     return str(file)
 
 
+@pytest.mark.parametrize("trusts", [0.0, 1.0])
+def test_the_node_says_whose_grasps_it_publishes_and_publishes_them(ros, camera, calibrated, tmp_path, trusts):
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    ggcnn = load_network(parse(NetworkConfig, own_yaml("ggcnn.yaml")["network"])).sha256
+    file = lift_file(tmp_path, ggcnn=ggcnn, trusts=trusts)
+    node = start(ros, lifts=MUST, lift_weights=file, peaks__threshold=0.01, reach__ask=False)
+    found = newest(ros, lists, lambda m: m.grasps, "grasps", 3.0)
+    assert {grasp.own_approach for grasp in found.grasps} == {trusts == 1.0}
+    assert ("where GG-CNN's best lifts with at most 0 %." in node.log) == (trusts == 0.0)
+    assert "A network of lifts chooses the grasps, each with an approach of its own" in node.log
+
+
 def test_a_network_of_lifts_is_taken_where_its_file_fits(tmp_path):
     file = lift_file(tmp_path)
     found, sha256, why = load_lifts(file, AUTO, REFLEX, GGCNN)
@@ -551,7 +563,7 @@ def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, re
 
 def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, tmp_path):
     changes = tmp_path / "changes.yaml"
-    changes.write_text("peaks: {threshold: 0.95}\n")
+    changes.write_text("lifts: never\npeaks: {threshold: 0.95}\n")
     launch = ("grasping", "grasping.launch", "camera:=false", "image_view:=false", f"config:={changes}")
     assert "/ggcnn" not in launched.nodes(*launch)
     (prefix,) = launched.prefixes(*launch, "node:=true")

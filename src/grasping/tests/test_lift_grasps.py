@@ -44,6 +44,17 @@ class AnyTilt(LiftNetwork):
         return 0.0 * features[:, 0] + 3.0
 
 
+class Believes(LiftNetwork):
+    """Believes that each grasp lifts with a probability that is set; trusts above 0.5."""
+
+    def __init__(self, probability):
+        super().__init__(trusts=0.5)
+        self.probability = probability
+
+    def forward(self, features):
+        return 0.0 * features[:, 0] + float(np.log(self.probability / (1.0 - self.probability)))
+
+
 class Nonsense(LiftNetwork):
     def forward(self, features):
         return np.nan * features[:, 0]
@@ -78,6 +89,55 @@ def test_what_lifts_from_above_has_the_pose_that_it_had_without_the_network(plac
     np.testing.assert_allclose(T[:3, 3], old.T_base_grasp[:3, 3], atol=0.015)
     assert turned(T[:3, :3], old.T_base_grasp[:3, :3]) < 0.2
     assert new.own_approach and not old.own_approach
+
+
+@pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
+@pytest.mark.parametrize("threshold", [0.01, 0.3])
+def test_a_grasp_of_ggcnn_that_is_trusted_is_as_without_the_network(place, threshold):
+    changes = {"peaks": {"threshold": threshold}}
+    s = settings_from(overlaid(YAML, changes))
+    alone = look(GraspPipeline(s.views(), Nearest(), s.steps(UP)), place)
+    for probability, same in ((0.52, True), (0.48, False)):
+        found = look(chain(changes, Believes(probability)), place)
+        assert all(grasp.own_approach != same for grasp in found.grasps) and found.grasps
+        if same:
+            assert [c.peak for c in found.candidates] == [c.peak for c in alone.candidates]
+            assert [g.quality for g in found.grasps] == [g.quality for g in alone.grasps]
+            np.testing.assert_array_equal(orientations(found), orientations(alone))
+        else:
+            assert [g.quality for g in found.grasps] == pytest.approx([probability] * len(found.grasps))
+
+
+def test_trust_stays_until_the_network_doubts_more_and_begins_anew_after_a_reset():
+    lifts = Believes(0.52)
+    of = chain({"tracking": {"frames": 1, "keep": 0.0}}, lifts)
+
+    def trusts(probability, i):
+        lifts.probability = probability
+        chosen = [c.chosen is not None for c in of.step(depth_picture(ABOVE, BOXES), CAMERA, ABOVE, DT * i).candidates]
+        assert len(set(chosen)) == 1
+        return not chosen[0]
+
+    assert [trusts(p, i) for i, p in enumerate((0.48, 0.52, 0.48, 0.44, 0.48, 0.52))] == [
+        False, True, True, False, False, True
+    ]  # fmt: skip
+    assert trusts(0.48, 6)
+    assert not trusts(0.48, 0), "a recording that begins again"
+
+
+@pytest.mark.parametrize(
+    ("changes", "boxes"), [({"peaks": {"threshold": 0.99}}, BOXES), ({"limits": {"x": [0.5, 1.0]}}, BOXES), ({}, ())]
+)
+def test_without_a_grasp_of_ggcnn_there_is_none_to_trust(changes, boxes):
+    found = look(chain(changes, Believes(0.995)), boxes=boxes)
+    assert all(c.chosen is not None for c in found.candidates)
+    assert bool(found.candidates) == bool(boxes) and (found.reason != "") == ("limits" in changes or not boxes)
+
+
+def test_with_a_taste_the_operators_grasp_comes_before_that_of_ggcnn():
+    taste = nobody()._replace(weights=np.ones(len(nobody().weights)))
+    assert look(chain(LOW, Believes(0.9))).grasps[0].uncertainty is None
+    assert look(chain(LOW, Believes(0.9), taste=taste)).grasps[0].uncertainty is not None
 
 
 @pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])

@@ -29,7 +29,7 @@ from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import PARALLEL, REFLEX, Maps
 from grasping.poses import chooser, hand_view, hypotheses
 from grasping.poses.candidates import image_rays, level_frame
-from grasping.poses.chooser import SAFE, ImageMaps, choose, tilts
+from grasping.poses.chooser import SAFE, STAYS, ImageMaps, choose, tilts, trusted
 from grasping.poses.gripper import GRIPPER, GRIPPERS, Gripper
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
 from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
@@ -281,20 +281,39 @@ def test_a_tilted_grasp_is_chosen_where_none_is_sure_and_it_lifts_more_than_tilt
     assert (tilt.max() > 0.4) == (lifts < SAFE)
 
 
+@pytest.mark.parametrize(("before", "least"), [(False, 0.6), (True, 0.6 - STAYS)])
+def test_ggcnns_own_grasp_is_trusted_where_it_lifts_with_more_than_the_network_asks(before, least):
+    of, T = bar_image(), np.eye(4)
+    T[2, 3] = TABLE_M - 0.04
+
+    def believes(probability: float) -> bool:
+        network = LiftNetwork(trusts=0.6).eval()
+        with torch.no_grad():
+            network.layers[-1].weight.zero_()
+            network.layers[-1].bias.fill_(float(np.log(probability / (1.0 - probability))))
+        return trusted(network, of, T, 0.05, before)
+
+    assert [believes(p) for p in (0.01, least - 0.01, least + 0.01, 0.99)] == [False, False, True, True]
+    assert not believes(np.nan)
+
+
 def test_a_bare_table_offers_nothing():
     found = choose(LiftNetwork().eval(), bar_image(height=0.0), OPEN_M)
     assert len(found.probability) == 0
 
 
 def test_weights_come_back_and_other_files_are_refused():
-    network = LiftNetwork(REFLEX, "cd" * 32, GRIPPERS[REFLEX]).eval()
+    network = LiftNetwork(REFLEX, "cd" * 32, GRIPPERS[REFLEX], 0.4).eval()
     network.temperature.fill_(1.7)
     file = io.BytesIO()
     torch.save(saved(network), file)
     values = np.random.default_rng(0).standard_normal((5, hand_view.FEATURES)).astype(np.float32)
     again = loaded(file.getvalue())
     np.testing.assert_array_equal(lift_logits(again, values), lift_logits(network, values))
-    assert (again.hand, again.ggcnn, again.gripper) == (REFLEX, "cd" * 32, GRIPPERS[REFLEX])
+    assert (again.hand, again.ggcnn, again.gripper, again.trusts) == (REFLEX, "cd" * 32, GRIPPERS[REFLEX], 0.4)
+    of_before = io.BytesIO()
+    torch.save({name: value for name, value in saved(network).items() if name != "trusts"}, of_before)
+    assert loaded(of_before.getvalue()).trusts == 1.0
     with pytest.raises(RigError, match="holds no weights of the network of lifts"):
         loaded(b"nothing")
     other = io.BytesIO()
@@ -306,6 +325,10 @@ def test_weights_come_back_and_other_files_are_refused():
         "GG-CNN's file None": {"ggcnn": None},
         "gripper/opening is -1.0, but must be a finite number": {"gripper": {"opening": -1.0}},
         "its numbers are not all finite": {"state": {**network.state_dict(), "layers.4.bias": torch.tensor([np.nan])}},
+        "trusts GG-CNN above 1.2, which must be between 0 and 1": {"trusts": 1.2},
+        "trusts GG-CNN above -0.1,": {"trusts": -0.1},
+        "trusts GG-CNN above nan,": {"trusts": np.nan},
+        "trusts GG-CNN above 'often',": {"trusts": "often"},
         "divides the logits by -1,": {"state": {**network.state_dict(), "temperature": torch.tensor(-1.0)}},
         "divides the logits by 0,": {"state": {**network.state_dict(), "temperature": torch.tensor(0.0)}},
         "its numbers are those of another network.$": {"state": {}},
@@ -596,6 +619,19 @@ def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_pat
     text = evaluate_poses.report(tmp_path, rows, methods)
     assert all(f"| {method} |" in text for method in methods)
     assert (tmp_path / "reliability.png").stat().st_size > 1000
+
+
+def test_where_ggcnns_grasp_is_trusted_a_network_of_lifts_takes_it(tmp_path):
+    """Both networks know nothing, and believe in about half of all lifts."""
+    files = {name: tmp_path / f"{name}.pt" for name in ("trusts", "doubts")}
+    for name, trusts in zip(files, (0.2, 0.8)):
+        torch.manual_seed(0)
+        torch.save(saved(LiftNetwork(trusts=trusts)), files[name])
+    task = evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {}, files, GRIPPER)
+    found = evaluate_poses.of_scene(task).executed
+    for way in evaluate_poses.WAYS:
+        np.testing.assert_array_equal(found[f"trusts, {way}"].T_world_grasp, found[evaluate_poses.ABOVE].T_world_grasp)
+        assert found[f"doubts, {way}"].peak != found[evaluate_poses.ABOVE].peak
 
 
 @pytest.fixture

@@ -17,10 +17,15 @@ from common.ros.files import read_yaml
 from grasping.network import weights
 from grasping.network.maps import PARALLEL, REFLEX
 from grasping.poses import lift_network, taste_file
+from grasping.poses.gripper import GRIPPERS
 
 OWN = {
     "ggcnn2_reflex.pt": ("ggcnn2", REFLEX),
     "ggcnn2_wide.pt": ("ggcnn2", PARALLEL),
+}
+LIFTS = {
+    "lifts_parallel.pt": (PARALLEL, "ggcnn2_wide.pt"),
+    "lifts_reflex.pt": (REFLEX, "ggcnn2_reflex.pt"),
 }
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 
@@ -190,7 +195,7 @@ def test_hash_is_checked():
 def test_the_packages_own_weights_are_as_listed():
     folder = Path(__file__).parents[1] / "weights"
     sums = (folder / "SHA256SUMS").read_text()
-    assert {path.name for path in folder.glob("*.pt")} == {*OWN, "lifts_parallel.pt"}
+    assert {path.name for path in folder.glob("*.pt")} == {*OWN, *LIFTS}
     for name, (network, hand) in OWN.items():
         content = (folder / name).read_bytes()
         assert len(content) < 300_000
@@ -198,11 +203,13 @@ def test_the_packages_own_weights_are_as_listed():
         assert (loaded.name, loaded.hand) == (network, hand)
     with pytest.raises(weights.WeightsError, match="does not name other.pt"):
         weights.listed_sha256(sums, "other.pt")
-    content = (folder / "lifts_parallel.pt").read_bytes()
-    weights.checked_sha256(content, weights.listed_sha256(sums, "lifts_parallel.pt"))
-    assert len(content) < 320_000
-    lifts = lift_network.loaded(content)
-    assert (lifts.hand, lifts.ggcnn) == (PARALLEL, weights.listed_sha256(sums, "ggcnn2_wide.pt"))
+    for name, (hand, ggcnn) in LIFTS.items():
+        content = (folder / name).read_bytes()
+        weights.checked_sha256(content, weights.listed_sha256(sums, name))
+        assert len(content) < 320_000
+        lifts = lift_network.loaded(content)
+        assert (lifts.hand, lifts.ggcnn) == (hand, weights.listed_sha256(sums, ggcnn))
+        assert lifts.gripper == GRIPPERS[hand] and (lifts.trusts < 1.0) == (hand == REFLEX)
 
 
 def test_the_node_comes_with_weights_for_the_hand_that_the_rig_has():

@@ -71,11 +71,8 @@ def port(text: str) -> int:
 
 def parse_options(parser: argparse.ArgumentParser, arguments: list[str] | None) -> argparse.Namespace:
     """Returns the options; ignores the name:=value pairs that roslaunch adds to the arguments of every node."""
-    options, others = parser.parse_known_args(arguments)
-    unknown = [other for other in others if ":=" not in other]
-    if unknown:
-        parser.error(f"unknown arguments: {' '.join(unknown)}")
-    return options
+    given = sys.argv[1:] if arguments is None else arguments
+    return parser.parse_args([argument for argument in given if ":=" not in argument])
 
 
 def stop_on_signals(stop: Callable[[], None]) -> None:

@@ -171,6 +171,23 @@ def test_beside_a_high_wall_only_a_hand_that_leans_away_from_it_lifts():
     assert [row["reason"] for row in found] == [lift_trial.COLLISION, lift_trial.COLLISION, lift_trial.LIFTED]
 
 
+def test_a_grasp_that_several_methods_chose_is_tried_once(monkeypatch):
+    grasps = [TRIED, {**TRIED, "method": "same"}, {**TRIED, "own_approach": True}, {**TRIED, "T_world_grasp": None}]
+    (scene,) = content(grasps=[*grasps, {**TRIED, "T_world_grasp": grasp(y=0.2).tolist()}])["scenes"]
+    tried = []
+
+    def lifted(_scene, _qpos, T, *_target, own_approach, **_conditions):
+        tried.append((T[1, 3], own_approach))
+        return lift_trial.LiftResult(True, 0.1 * len(tried), True, lift_trial.LIFTED)
+
+    monkeypatch.setattr(lifting, "lift", lifted)
+    rows = lifting.try_scene(lifting.SceneTask(scene, {"shake": True, "ground": 0.0}))
+    assert tried == [(0.0, False), (0.0, True), (0.2, False)]
+    assert [(row["method"], row["rise"]) for row in rows] == [
+        ("good", 0.1), ("same", 0.1), ("good", 0.2), ("good", 0.0), ("good", pytest.approx(0.3))
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("T", [tilted(pitch=0.9), tilted(pitch=np.pi), tilted(roll=-1.0)])
 def test_an_approach_from_the_side_or_from_below_is_refused(T):
     with pytest.raises(ValueError, match="50 are possible"):

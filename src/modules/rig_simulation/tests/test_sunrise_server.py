@@ -198,7 +198,7 @@ def test_the_program_says_when_it_is_ready_and_ends_without_a_traceback(virtual_
     ("arguments", "sentence"),
     [
         (["--host", "0.0.0.0"], "loopback"),
-        (["nonsense"], "unknown arguments: nonsense"),
+        (["nonsense"], "unrecognized arguments: nonsense"),
         (["--port", "30001"], "in use"),
     ],
 )

@@ -35,7 +35,7 @@ from grasping.pipeline.tracking import (
     TrackingConfig,
 )
 from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
-from grasping.poses.chooser import ImageMaps
+from grasping.poses.chooser import ImageMaps, trusted
 from grasping.poses.hypotheses import MAX_TILT_RAD
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.preferred import GraspUncertainty
@@ -133,10 +133,10 @@ class GraspPipeline:
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
         self._in_base: bool | None = None
-        self._last, self._chosen = -np.inf, NONE_CHOSEN
+        self._last, self._chosen, self._trusted = -np.inf, NONE_CHOSEN, False
 
     def reset(self) -> None:
-        self._last, self._chosen = -np.inf, NONE_CHOSEN
+        self._last, self._chosen, self._trusted = -np.inf, NONE_CHOSEN, False
         for step in (self._views, self._average, self._tracker):
             if step is not None:
                 step.reset()
@@ -176,7 +176,7 @@ class GraspPipeline:
             output, _ = self._average.step(output, view.image.depth)
         T_track_camera = np.eye(4) if T_base_camera is None else T_base_camera
         T_track_view = T_track_camera @ view.T_camera_view
-        maps, found = self._peaks(output, view, T_track_view)
+        maps, found = self._peaks(output, view, T_track_view, T_base_camera)
         stages.end("peaks")
         enough = self._until_enough(self._candidates(found, view, T_base_camera))
         candidates = tuple(sorted(enough, key=lambda one: -one.rank))
@@ -196,18 +196,33 @@ class GraspPipeline:
             return self._tracker.step(detections, now)
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
-    def _peaks(self, output: np.ndarray, view: GraspView, T_track_view: np.ndarray) -> tuple[Maps, Iterable[_Found]]:
-        """Returns the smoothed maps and their peaks, with a network of lifts the grasps that it chooses."""
+    def _peaks(
+        self, output: np.ndarray, view: GraspView, T_track_view: np.ndarray, T_base_camera: np.ndarray | None
+    ) -> tuple[Maps, Iterable[_Found]]:
+        """Returns the smoothed maps and their peaks, with a network of lifts the grasps that it chooses unless it
+        trusts the best peak."""
         s = self._settings
         if self._lifts is None:
-            found = maps_of(output, view, s)
-            if s.threshold is None:
-                return found, [highest(found)]
-            return found, peaks(found, LOOKED_AT * s.count, s.distance, s.threshold)
+            return self._maxima(output, view)
         of = ImageMaps.of_output(view.image, view.camera, output)
+        if self._taste is None and self._lifts.trusts < 1.0:
+            found, own = self._maxima(output, view)
+            accepted = (c.grasp for c in self._candidates(own, view, T_base_camera) if not c.rejection)
+            best = next((grasp for grasp in accepted if grasp is not None), None)
+            at = None if best is None else (best.T_camera_grasp, best.width)
+            self._trusted = at is not None and trusted(self._lifts, of, *at, self._trusted)
+            if self._trusted:
+                return found, own
         before, widest = inverse(T_track_view) @ self._chosen[0], np.inf if s.tool is None else s.tool.max_opening
         how = (before, self._chosen[1]), LOOKED_AT * s.count, s.distance, s.threshold, widest, s.max_tilt
         return of.maps, lift_grasps(self._lifts, of, *how, self._taste)
+
+    def _maxima(self, output: np.ndarray, view: GraspView) -> tuple[Maps, list[Peak]]:
+        s = self._settings
+        found = maps_of(output, view, s)
+        if s.threshold is None:
+            return found, [highest(found)]
+        return found, peaks(found, LOOKED_AT * s.count, s.distance, s.threshold)
 
     def _until_enough(self, candidates: Iterator[GraspCandidate]) -> Iterator[GraspCandidate]:
         """Yields the candidates until as many as are wanted passed all limits."""

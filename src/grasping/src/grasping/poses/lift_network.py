@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from common.config import parse
+from common.config import is_number, parse
 from common.errors import RigError
 from grasping.network.maps import HANDS, PARALLEL
 from grasping.network.torch_files import content_of, give
@@ -22,13 +22,14 @@ SCHEMA = 1
 
 class LiftNetwork(nn.Module):
     """Returns the logit of a lift of features, shape (n, FEATURES) to (n,), of the `hand` that it was trained for, as
-    the `gripper` describes it, and of the maps of the GG-CNN whose file has the SHA-256 `ggcnn`."""
+    the `gripper` describes it, and of the maps of the GG-CNN whose file has the SHA-256 `ggcnn`. `trusts`: probability
+    of a lift above which GG-CNN's own grasp is taken; 1: never."""
 
     temperature: torch.Tensor
 
-    def __init__(self, hand: str = PARALLEL, ggcnn: str = "", gripper: Gripper = GRIPPER) -> None:
+    def __init__(self, hand: str = PARALLEL, ggcnn: str = "", gripper: Gripper = GRIPPER, trusts: float = 1.0) -> None:
         super().__init__()
-        self.hand, self.ggcnn, self.gripper = hand, ggcnn, gripper
+        self.hand, self.ggcnn, self.gripper, self.trusts = hand, ggcnn, gripper, trusts
         first, second = HIDDEN
         self.layers = nn.Sequential(
             nn.Linear(FEATURES, first), nn.ReLU(), nn.Linear(first, second), nn.ReLU(), nn.Linear(second, 1)
@@ -48,7 +49,7 @@ def lift_logits(network: LiftNetwork, features: np.ndarray) -> np.ndarray:
 
 
 def saved(network: LiftNetwork) -> dict[str, Any]:
-    of = {"hand": network.hand, "ggcnn": network.ggcnn, "gripper": asdict(network.gripper)}
+    of = {"hand": network.hand, "ggcnn": network.ggcnn, "gripper": asdict(network.gripper), "trusts": network.trusts}
     return {"schema": SCHEMA, "features": FEATURES, **of, "state": network.state_dict()}
 
 
@@ -59,7 +60,10 @@ def loaded(data: bytes) -> LiftNetwork:
         hand, ggcnn = content.get("hand"), content.get("ggcnn")
         if hand not in HANDS or not isinstance(ggcnn, str):
             raise RigError(f"it is of the hand {hand!r} and of GG-CNN's file {ggcnn!r}")
-        network = LiftNetwork(hand, ggcnn, parse(Gripper, content.get("gripper", {}), "gripper/"))
+        trusts = content.get("trusts", 1.0)
+        if not is_number(trusts) or not 0.0 <= trusts <= 1.0:
+            raise RigError(f"it trusts GG-CNN above {trusts!r}, which must be between 0 and 1")
+        network = LiftNetwork(hand, ggcnn, parse(Gripper, content.get("gripper", {}), "gripper/"), float(trusts))
         give(network, content.get("state"))
         if network.temperature <= 0.0:
             raise RigError(f"it divides the logits by {float(network.temperature):g}, which must be above 0")

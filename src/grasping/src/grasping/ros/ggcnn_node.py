@@ -288,7 +288,8 @@ def _run() -> None:
     if lifts is None:
         rospy.loginfo("GG-CNN alone proposes grasps. %s", why)
     else:
-        rospy.loginfo("A network of lifts chooses the grasps, each with an approach of its own.")
+        where = f", where GG-CNN's best lifts with at most {100.0 * lifts.trusts:.0f} %" if lifts.trusts < 1.0 else ""
+        rospy.loginfo("A network of lifts chooses the grasps, each with an approach of its own%s.", where)
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:

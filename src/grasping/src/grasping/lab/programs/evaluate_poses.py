@@ -40,7 +40,7 @@ from grasping.lab.synthetic.samples import SceneView, view
 from grasping.lab.synthetic.scene import HeapScene
 from grasping.network import maps, weights
 from grasping.pipeline.projection import CameraGrasp, along, project_grasp, seen_by
-from grasping.poses.chooser import ImageMaps, choose
+from grasping.poses.chooser import ImageMaps, choose, trusted
 from grasping.poses.gripper import GRIPPER, Gripper
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, pixels_of
 from grasping.poses.lift_network import loaded
@@ -164,8 +164,13 @@ def _chosen(task: PoseTrialTask, seen: SceneView, of: ImageMaps) -> dict[str, Ch
         best = maps.highest(other.maps)
         found[name] = _pose(_projected(other, best, seen), best)
     for name, file in task.lifts.items():
+        network = lift_network(file)
+        own = above is not None and trusted(network, of, above.T_camera_grasp, above.width)
         for way, most in WAYS.items():
-            ranked = choose(lift_network(file), of, task.gripper.opening, most)
+            if own:
+                found[f"{name}, {way}"] = found[ABOVE]
+                continue
+            ranked = choose(network, of, task.gripper.opening, most)
             found[f"{name}, {way}"] = None
             if len(ranked.probability):
                 first = ranked.of.T[0], float(ranked.of.opening[0]), float(ranked.probability[0])

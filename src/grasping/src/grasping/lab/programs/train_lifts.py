@@ -137,6 +137,8 @@ def main() -> None:
     parser.add_argument("--epochs", type=whole(1, 10_000), default=40, help="default 40")
     parser.add_argument("--rate", type=real(0.0, 1.0, open_low=True), default=2e-3, help="of learning, default 0.002")
     parser.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help="default 0")
+    trusts = "probability of a lift above which GG-CNN's own grasp is taken, default 1: never"
+    parser.add_argument("--trusts", type=real(0.0, 1.0), default=1.0, help=trusts)
     given = parser.parse_args()
     torch.set_num_threads(1)
     used, kept = (
@@ -160,6 +162,7 @@ def main() -> None:
         parser.error(f"{given.data} trains on {data[2:]}, but validates on {validation[2:]}.")
     network, rows = train(data, validation, given.epochs, given.rate, given.seed)
     calibrate(network, chosen)
+    network.trusts = given.trusts
     torch.save(saved(network), given.run / "lifts.pt")
     (given.run / "curves.json").write_text(json.dumps(rows, indent=1) + "\n")
     least = min(row["validation"] for row in rows)

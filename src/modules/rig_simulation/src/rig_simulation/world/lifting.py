@@ -245,18 +245,21 @@ class SceneTask(NamedTuple):
 
 
 def try_scene(task: SceneTask) -> list[dict[str, Any]]:
-    """Returns the results of the grasps; a missing grasp lifts nothing."""
+    """Returns the results of the grasps; a missing grasp lifts nothing, and one that several methods chose is tried
+    once."""
     scene = task.scene
     mujoco.set_mju_user_warning(_ignore)
-    rows = []
+    rows, tried = [], {}
     for grasp in scene["grasps"]:
         row = {name: scene[name] for name in ("split", "scene", "objects")}
         row.update({name: grasp[name] for name in ("method", "width", "peak")}, **task.conditions)
         trial = lift_trial.LiftResult(False, 0.0, False, lift_trial.NO_GRASP)
         if grasp["T_world_grasp"] is not None:
-            T = np.array(grasp["T_world_grasp"])
-            at = np.array(scene["qpos"]), T, grasp["target"]
-            trial = lift(scene["mjcf"], *at, **task.conditions, own_approach=_own_approach(grasp))
+            at = grasp["T_world_grasp"], grasp["target"], _own_approach(grasp)
+            if str(at) not in tried:
+                T, qpos = np.array(at[0]), np.array(scene["qpos"])
+                tried[str(at)] = lift(scene["mjcf"], qpos, T, at[1], **task.conditions, own_approach=at[2])
+            trial = tried[str(at)]
         rows.append({**row, **trial._asdict()})
     return rows
 
