@@ -39,8 +39,9 @@ def test_what_roslaunch_adds_is_ignored_and_nothing_else(capsys):
         parse_options(parser, ["stray"])
     assert "unrecognized arguments: stray" in capsys.readouterr().err
     parser.add_argument("files", nargs="+")
-    for last in ("film.mp4", "-film.mp4"):
-        assert parse_options(parser, ["--seed", "3", "--", last, "__name:=x", "__log:=/a b"]).files == [last]
+    for last in ("film.mp4", "-film.mp4", "/a/b c:=d.mp4"):
+        given = ["--seed", "3", "--", last, "__name:=x", "__log:=/a b", "image:=/x", "~key:=3"]
+        assert parse_options(parser, given).files == [last]
 
 
 @pytest.mark.parametrize("error", [RigError("no arm"), OSError("no arm")])

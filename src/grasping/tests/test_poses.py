@@ -29,7 +29,7 @@ from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import PARALLEL, REFLEX, Maps
 from grasping.poses import chooser, hand_view, hypotheses
 from grasping.poses.candidates import image_rays, level_frame
-from grasping.poses.chooser import SAFE, STAYS, ImageMaps, choose, tilts, trusted
+from grasping.poses.chooser import JUDGED, SAFE, TILT_COST, ImageMaps, choose, tilts
 from grasping.poses.gripper import GRIPPER, GRIPPERS, Gripper
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
 from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
@@ -259,7 +259,9 @@ def test_the_chosen_are_in_order_and_tilt_no_further_than_allowed():
         assert (np.diff(found.rank) <= 0.0).all() and (found.rank <= found.probability).all()
         tilt = tilts(found.of, of.frame)
         assert tilt.max() <= most + 1e-5
-        np.testing.assert_array_equal((found.probability - found.rank)[tilt <= ABOVE_RAD], 0.0)
+        cost = TILT_COST * np.maximum(tilt[:16] - ABOVE_RAD, 0.0)
+        np.testing.assert_allclose((found.probability - found.rank)[:16], cost, atol=1e-6)
+        assert (found.rank[JUDGED:] <= found.rank[:JUDGED].min()).all()
         assert ((found.probability > 0.0) & (found.probability < 1.0)).all()
     again = choose(network, of, OPEN_M, MAX_TILT_RAD)
     np.testing.assert_array_equal(again.probability, found.probability)
@@ -281,20 +283,36 @@ def test_a_tilted_grasp_is_chosen_where_none_is_sure_and_it_lifts_more_than_tilt
     assert (tilt.max() > 0.4) == (lifts < SAFE)
 
 
-@pytest.mark.parametrize(("before", "least"), [(False, 0.6), (True, 0.6 - STAYS)])
-def test_ggcnns_own_grasp_is_trusted_where_it_lifts_with_more_than_the_network_asks(before, least):
-    of, T = bar_image(), np.eye(4)
-    T[2, 3] = TABLE_M - 0.04
+@pytest.mark.parametrize(("trusts", "taken"), [(0.45, [2, 1, 0]), (0.55, [2, 1]), (0.6, [2]), (0.9, []), (1.0, [])])
+def test_of_ggcnns_grasps_those_are_taken_that_lift_with_more_than_the_network_trusts(monkeypatch, trusts, taken):
+    of, openings = bar_image(), np.array([0.05, 0.06, 0.07])
+    own = of_turns(of, Turn()).part(np.arange(3))._replace(opening=openings)
+    believed = lambda _network, _of, tried: np.where(np.isin(tried.opening, openings), 10.0 * tried.opening, 0.99)  # noqa: E731
+    monkeypatch.setattr(chooser, "lift_probabilities", believed)
+    found = choose(LiftNetwork(trusts=trusts).eval(), of, OPEN_M, own=own)
+    expected = own.part(np.array(taken, int)) if taken else choose(LiftNetwork().eval(), of, OPEN_M).of
+    np.testing.assert_array_equal(found.of.T, expected.T)
+    np.testing.assert_array_equal(found.of.opening, expected.opening)
+    monkeypatch.setattr(chooser, "lift_probabilities", lambda _network, _of, tried: np.full(len(tried.T), np.nan))
+    assert len(choose(LiftNetwork(trusts=trusts).eval(), of, OPEN_M, own=own).of.T) > 3, "nonsense is not trusted"
 
-    def believes(probability: float) -> bool:
-        network = LiftNetwork(trusts=0.6).eval()
-        with torch.no_grad():
-            network.layers[-1].weight.zero_()
-            network.layers[-1].bias.fill_(float(np.log(probability / (1.0 - probability))))
-        return trusted(network, of, T, 0.05, before)
 
-    assert [believes(p) for p in (0.01, least - 0.01, least + 0.01, 0.99)] == [False, False, True, True]
-    assert not believes(np.nan)
+@pytest.mark.parametrize("alone", [False, True])
+def test_the_best_grasp_is_one_near_which_others_lift_as_well(monkeypatch, alone):
+    """On one half of the bar grasps lift better than on the other, `alone`: only those just so, all near them worse."""
+    of = bar_image()
+    just_so = of_turns(of, *TURNS).T[:, :3, 3]
+
+    def believed(_network, _of, tried):
+        places = tried.T[:, :3, 3]
+        exact = np.abs(places[:, None] - just_so).max(axis=-1).min(axis=1) < 1e-9
+        return np.where(places[:, 1] < 0.0, 0.8, np.where(exact | (not alone), 0.9, 0.5))
+
+    monkeypatch.setattr(chooser, "lift_probabilities", believed)
+    monkeypatch.setattr(chooser, "JUDGED", 1000)
+    found = choose(LiftNetwork().eval(), of, OPEN_M, ABOVE_RAD)
+    assert (found.of.T[0, 1, 3] < 0.0) == alone
+    assert found.probability[0] == pytest.approx(0.8 if alone else 0.9)
 
 
 def test_a_bare_table_offers_nothing():
@@ -630,8 +648,11 @@ def test_where_ggcnns_grasp_is_trusted_a_network_of_lifts_takes_it(tmp_path):
     task = evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {}, files, GRIPPER)
     found = evaluate_poses.of_scene(task).executed
     for way in evaluate_poses.WAYS:
-        np.testing.assert_array_equal(found[f"trusts, {way}"].T_world_grasp, found[evaluate_poses.ABOVE].T_world_grasp)
-        assert found[f"doubts, {way}"].peak != found[evaluate_poses.ABOVE].peak
+        own, ggcnn = found[f"trusts, {way}"], found[evaluate_poses.ABOVE]
+        np.testing.assert_array_equal(own.T_world_grasp, ggcnn.T_world_grasp)
+        assert own.opening == ggcnn.opening and own.peak == ggcnn.peak._replace(quality=own.peak.quality)
+        assert own.peak.quality != ggcnn.peak.quality, "the probability of a lift"
+        assert abs(found[f"doubts, {way}"].T_world_grasp - ggcnn.T_world_grasp).max() > 1e-4
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -72,7 +73,7 @@ def port(text: str) -> int:
 def parse_options(parser: argparse.ArgumentParser, arguments: list[str] | None) -> argparse.Namespace:
     """Returns the options; ignores the name:=value pairs that roslaunch adds to the arguments of every node."""
     given = sys.argv[1:] if arguments is None else arguments
-    return parser.parse_args([argument for argument in given if ":=" not in argument])
+    return parser.parse_args([each for each in given if not re.match(r"[A-Za-z_~/][\w~/]*:=", each)])
 
 
 def stop_on_signals(stop: Callable[[], None]) -> None:

@@ -14,7 +14,7 @@ from common.poses import read_only
 from grasping.network.maps import Peak
 from grasping.pipeline.projection import CameraGrasp, seen_by
 from grasping.poses.chooser import ImageMaps, ScoredPoses, choose
-from grasping.poses.hypotheses import pixels_of, turned, upright
+from grasping.poses.hypotheses import MIN_OPENING_M, pixels_of, turned, upright
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.preferred import GraspUncertainty, offer, preferred, uncertainty
 from grasping.poses.taste import PoseTaste
@@ -41,11 +41,12 @@ def lift_grasps(
     widest: float,
     max_tilt: float,
     taste: PoseTaste | None = None,
+    own: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Iterator[LiftGrasp]:
     """Returns at most `count` grasps above a probability, one after another, best first; None as `threshold`: the best
     alone. Those within `distance` rows and columns differ in direction. `before`: poses, shape (k, 4, 4) [m], and
     openings, shape (k,) [m], of those in the image before, which stay while they are good; `widest`: opening of the
-    hand [m]; `max_tilt` [rad].
+    hand [m]; `max_tilt` [rad]; `own`: poses and openings of GG-CNN's grasps, without a taste.
     """
     again = None
     if len(before[0]):
@@ -54,7 +55,8 @@ def lift_grasps(
         again = of.hypotheses(T, before[1])
     about = None
     if taste is None:
-        scored = choose(network, of, widest, max_tilt, again)
+        of_ggcnn = None if own is None else of.hypotheses(own[0], np.clip(own[1], MIN_OPENING_M, widest))
+        scored = choose(network, of, widest, max_tilt, again, of_ggcnn)
     else:
         offered = offer(network, of, widest, max_tilt, again)
         scored = preferred(network, of, offered, taste, widest, max_tilt, again)

@@ -35,7 +35,7 @@ from grasping.pipeline.tracking import (
     TrackingConfig,
 )
 from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
-from grasping.poses.chooser import ImageMaps, trusted
+from grasping.poses.chooser import ImageMaps
 from grasping.poses.hypotheses import MAX_TILT_RAD
 from grasping.poses.lift_network import LiftNetwork
 from grasping.poses.preferred import GraspUncertainty
@@ -133,10 +133,10 @@ class GraspPipeline:
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
         self._in_base: bool | None = None
-        self._last, self._chosen, self._trusted = -np.inf, NONE_CHOSEN, False
+        self._last, self._chosen = -np.inf, NONE_CHOSEN
 
     def reset(self) -> None:
-        self._last, self._chosen, self._trusted = -np.inf, NONE_CHOSEN, False
+        self._last, self._chosen = -np.inf, NONE_CHOSEN
         for step in (self._views, self._average, self._tracker):
             if step is not None:
                 step.reset()
@@ -199,23 +199,32 @@ class GraspPipeline:
     def _peaks(
         self, output: np.ndarray, view: GraspView, T_track_view: np.ndarray, T_base_camera: np.ndarray | None
     ) -> tuple[Maps, Iterable[_Found]]:
-        """Returns the smoothed maps and their peaks, with a network of lifts the grasps that it chooses unless it
-        trusts the best peak."""
+        """Returns the smoothed maps and their peaks, with a network of lifts the grasps that it chooses."""
         s = self._settings
         if self._lifts is None:
             return self._maxima(output, view)
         of = ImageMaps.of_output(view.image, view.camera, output)
-        if self._taste is None and self._lifts.trusts < 1.0:
-            found, own = self._maxima(output, view)
-            accepted = (c.grasp for c in self._candidates(own, view, T_base_camera) if not c.rejection)
-            best = next((grasp for grasp in accepted if grasp is not None), None)
-            at = None if best is None else (best.T_camera_grasp, best.width)
-            self._trusted = at is not None and trusted(self._lifts, of, *at, self._trusted)
-            if self._trusted:
-                return found, own
         before, widest = inverse(T_track_view) @ self._chosen[0], np.inf if s.tool is None else s.tool.max_opening
         how = (before, self._chosen[1]), LOOKED_AT * s.count, s.distance, s.threshold, widest, s.max_tilt
-        return of.maps, lift_grasps(self._lifts, of, *how, self._taste)
+        if self._taste is not None or self._lifts.trusts == 1.0:
+            return of.maps, lift_grasps(self._lifts, of, *how, self._taste)
+        return of.maps, lift_grasps(self._lifts, of, *how, own=self._from_above(output, view, of, T_base_camera))
+
+    def _from_above(
+        self, output: np.ndarray, view: GraspView, of: ImageMaps, T_base_camera: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns GG-CNN's own grasps that are within the limits, best first, each from straight above: poses, shape
+        (k, 4, 4) [m], and openings, shape (k,) [m]."""
+        found = []
+        for peak in self._maxima(output, view)[1]:
+            at = projection.project_grasp(peak, view.image.crop, len(view.image.input), view.depth, view.camera)
+            grasp = None if at is None else projection.along(at, of.frame.R[:, 2], view.camera)
+            if grasp is not None and not self._rejection(grasp, view, T_base_camera, waits=True):
+                found.append(grasp)
+            if len(found) == self._settings.count:
+                break
+        T = np.array([grasp.T_camera_grasp for grasp in found]).reshape(-1, 4, 4)
+        return T, np.array([grasp.width for grasp in found])
 
     def _maxima(self, output: np.ndarray, view: GraspView) -> tuple[Maps, list[Peak]]:
         s = self._settings

@@ -46,6 +46,7 @@ TURNS = (
     Turn(roll=-0.4, wider=0.008),
 )
 """What is tried at each place."""
+LEVEL_TURNS = tuple(turn for turn in TURNS if not turn.pitch)  # without those that from straight above are like others
 
 
 class Hypotheses(NamedTuple):

@@ -77,12 +77,12 @@ def preferred(
     others = others if before is None else joined(others, before)
     away = distances(others.T[:, None], part.T, taste)
     tried, score = joined(tried, others), np.append(score, (appeal - 0.5 * away**2).max(axis=1))
-    lifts = lift_probabilities(network, of, tried)
+    lifts = lift_probabilities(network, of, tried)  # each alone, that of the safest, too
     worth = lifts + WORTH * np.exp(score)
     lead = np.zeros(len(worth))
     if before is not None:
         lead[-len(before.T) :] = KEPT
-    allowed = lifts >= min(SAFE, safest.probability[first] - MOST_LOST)
+    allowed = lifts >= min(SAFE, lifts[-len(others.T)] - MOST_LOST)
     order = np.argsort(-(worth + lead), kind="stable")
     order = order[allowed[order]]
     if not len(order):

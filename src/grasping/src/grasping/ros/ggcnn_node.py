@@ -288,8 +288,9 @@ def _run() -> None:
     if lifts is None:
         rospy.loginfo("GG-CNN alone proposes grasps. %s", why)
     else:
-        where = f", where GG-CNN's best lifts with at most {100.0 * lifts.trusts:.0f} %" if lifts.trusts < 1.0 else ""
-        rospy.loginfo("A network of lifts chooses the grasps, each with an approach of its own%s.", where)
+        rospy.loginfo("A network of lifts chooses the grasps, each with an approach of its own.")
+        if taste is None and lifts.trusts < 1.0:
+            rospy.loginfo("It takes GG-CNN's where these lift with more than %.0f %%.", 100.0 * lifts.trusts)
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:

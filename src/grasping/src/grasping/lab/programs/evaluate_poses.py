@@ -40,7 +40,7 @@ from grasping.lab.synthetic.samples import SceneView, view
 from grasping.lab.synthetic.scene import HeapScene
 from grasping.network import maps, weights
 from grasping.pipeline.projection import CameraGrasp, along, project_grasp, seen_by
-from grasping.poses.chooser import ImageMaps, choose, trusted
+from grasping.poses.chooser import ImageMaps, choose
 from grasping.poses.gripper import GRIPPER, Gripper
 from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD, pixels_of
 from grasping.poses.lift_network import loaded
@@ -163,14 +163,10 @@ def _chosen(task: PoseTrialTask, seen: SceneView, of: ImageMaps) -> dict[str, Ch
         other = image_maps(seen, ggcnn(file))
         best = maps.highest(other.maps)
         found[name] = _pose(_projected(other, best, seen), best)
+    own = None if above is None else of.hypotheses(above.T_camera_grasp[None], np.array([above.width]))
     for name, file in task.lifts.items():
-        network = lift_network(file)
-        own = above is not None and trusted(network, of, above.T_camera_grasp, above.width)
         for way, most in WAYS.items():
-            if own:
-                found[f"{name}, {way}"] = found[ABOVE]
-                continue
-            ranked = choose(network, of, task.gripper.opening, most)
+            ranked = choose(lift_network(file), of, task.gripper.opening, most, own=own)
             found[f"{name}, {way}"] = None
             if len(ranked.probability):
                 first = ranked.of.T[0], float(ranked.of.opening[0]), float(ranked.probability[0])
