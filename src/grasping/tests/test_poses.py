@@ -597,6 +597,17 @@ def test_a_network_of_lifts_says_what_is_tried_and_training_takes_it_as_well(sha
     assert len(train_lifts.read([shard, path]).lifted) > 8
 
 
+@pytest.mark.parametrize(("options", "trusts"), [((), 1.0), (("--trusts", "0.4"), 0.4)])
+def test_a_trained_network_keeps_what_it_shall_trust(shard, tmp_path, monkeypatch, options, trusts):
+    for name in ("train_8_000000.npz", "validation_8_000000.npz"):
+        (tmp_path / name).write_bytes(shard.read_bytes())
+    monkeypatch.setattr("sys.argv", ["train_lifts.py", str(tmp_path), str(tmp_path / "run"), "--epochs", "1", *options])
+    train_lifts.main()
+    found = loaded((tmp_path / "run" / "lifts.pt").read_bytes())
+    assert found.trusts == trusts and found.hand == PARALLEL
+    assert len(json.loads((tmp_path / "run" / "curves.json").read_text())) == 1
+
+
 @pytest.mark.parametrize("turned, tilt", [(0.0, 0.0), (0.6, 0.1)])
 def test_opposed_surfaces_of_a_bar_are_its_long_sides(turned, tilt):
     of = bar_image(turned=turned, tilt=tilt)

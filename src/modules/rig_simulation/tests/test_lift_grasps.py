@@ -172,20 +172,20 @@ def test_beside_a_high_wall_only_a_hand_that_leans_away_from_it_lifts():
 
 
 def test_a_grasp_that_several_methods_chose_is_tried_once(monkeypatch):
+    of_another, elsewhere = {**TRIED, "target": 1}, {**TRIED, "T_world_grasp": grasp(y=0.2).tolist()}
     grasps = [TRIED, {**TRIED, "method": "same"}, {**TRIED, "own_approach": True}, {**TRIED, "T_world_grasp": None}]
-    (scene,) = content(grasps=[*grasps, {**TRIED, "T_world_grasp": grasp(y=0.2).tolist()}])["scenes"]
+    (scene,) = content(grasps=[*grasps, of_another, elsewhere])["scenes"]
     tried = []
 
-    def lifted(_scene, _qpos, T, *_target, own_approach, **_conditions):
-        tried.append((T[1, 3], own_approach))
+    def lifted(_scene, _qpos, T, target, own_approach, **_conditions):
+        tried.append((T[1, 3], target, own_approach))
         return lift_trial.LiftResult(True, 0.1 * len(tried), True, lift_trial.LIFTED)
 
     monkeypatch.setattr(lifting, "lift", lifted)
     rows = lifting.try_scene(lifting.SceneTask(scene, {"shake": True, "ground": 0.0}))
-    assert tried == [(0.0, False), (0.0, True), (0.2, False)]
-    assert [(row["method"], row["rise"]) for row in rows] == [
-        ("good", 0.1), ("same", 0.1), ("good", 0.2), ("good", 0.0), ("good", pytest.approx(0.3))
-    ]  # fmt: skip
+    assert tried == [(0.0, 0, False), (0.0, 0, True), (0.0, 1, False), (0.2, 0, False)]
+    assert [row["rise"] for row in rows] == pytest.approx([0.1, 0.1, 0.2, 0.0, 0.3, 0.4])
+    assert [row["method"] for row in rows] == [one["method"] for one in scene["grasps"]]
 
 
 @pytest.mark.parametrize("T", [tilted(pitch=0.9), tilted(pitch=np.pi), tilted(roll=-1.0)])
