@@ -283,7 +283,7 @@ def test_a_tilted_grasp_is_chosen_where_none_is_sure_and_it_lifts_more_than_tilt
     assert (tilt.max() > 0.4) == (lifts < SAFE)
 
 
-@pytest.mark.parametrize(("trusts", "taken"), [(0.45, [2, 1, 0]), (0.55, [2, 1]), (0.6, [2]), (0.9, []), (1.0, [])])
+@pytest.mark.parametrize(("trusts", "taken"), [(0.45, [0, 1, 2]), (0.55, [1, 2]), (0.6, [2]), (0.9, []), (1.0, [])])
 def test_of_ggcnns_grasps_those_are_taken_that_lift_with_more_than_the_network_trusts(monkeypatch, trusts, taken):
     of, openings = bar_image(), np.array([0.05, 0.06, 0.07])
     own = of_turns(of, Turn()).part(np.arange(3))._replace(opening=openings)
@@ -293,6 +293,7 @@ def test_of_ggcnns_grasps_those_are_taken_that_lift_with_more_than_the_network_t
     expected = own.part(np.array(taken, int)) if taken else choose(LiftNetwork().eval(), of, OPEN_M).of
     np.testing.assert_array_equal(found.of.T, expected.T)
     np.testing.assert_array_equal(found.of.opening, expected.opening)
+    assert not taken or len(set(found.rank)) == 1
     monkeypatch.setattr(chooser, "lift_probabilities", lambda _network, _of, tried: np.full(len(tried.T), np.nan))
     assert len(choose(LiftNetwork(trusts=trusts).eval(), of, OPEN_M, own=own).of.T) > 3, "nonsense is not trusted"
 

@@ -80,9 +80,10 @@ def choose(
     """Returns the grasps of an image, the best first, and the probability that each one lifts: those from straight
     above, and where none of them lifts with `SAFE` those tilted by up to `max_tilt` [rad], too; `most_open`: what the
     hand opens at most [m]; `before`: what was chosen in the image before; `own`: GGCNN's grasps; those that the
-    network trusts stand alone beside these. Empty where nothing stands on the table."""
+    network trusts stand alone beside these, in their order. Empty where nothing stands on the table."""
     found, probability = trusted(network, of, own)
-    if not len(probability):
+    of_ggcnn = len(probability)
+    if not of_ggcnn:
         found, probability = search(network, of, most_open, min(ABOVE_RAD, max_tilt))
         if not len(probability):
             return ScoredPoses(found, probability, probability)
@@ -101,6 +102,7 @@ def choose(
     probability[top] = with_those_near(network, of, found.part(top), probability[top], most_open, max_tilt)
     rank[top] = np.maximum(probability[top] - cost[top], 0.0)
     rank[rest] = np.minimum(rank[rest], rank[top].min())
+    rank[:of_ggcnn] = rank[:of_ggcnn].max(initial=0.0)  # in GGCNN's order
     order = np.argsort(-(rank + lead), kind="stable")
     return ScoredPoses(found.part(order), probability[order], rank[order])
 
