@@ -101,15 +101,17 @@ def alike(found, other) -> None:
 
 
 @pytest.mark.parametrize("place", [ABOVE, ASIDE], ids=["above", "aside"])
-def test_ggcnns_own_grasps_come_from_straight_above_where_the_network_trusts_them(place):
-    changes = {"peaks": {"threshold": 0.01}, "approach": {"kind": "vertical"}}
+@pytest.mark.parametrize("view", ["table", "camera"])
+def test_ggcnns_own_grasps_come_from_straight_above_where_the_network_trusts_them(place, view):
+    changes = {"view": view, "peaks": {"threshold": 0.01}, "approach": {"kind": "vertical"}}
     s = settings_from(overlaid(YAML, changes))
     alone = look(GraspPipeline(s.views(), Nearest(), s.steps(UP)), place).grasps
     found = look(chain(changes, Believes(0.52)), place).grasps
     assert len(found) > 1 and all(grasp.own_approach for grasp in found)
     for one, other in zip(alone, found):
         np.testing.assert_allclose(other.T_base_grasp[:3, 2], -UP, atol=0.02)
-        np.testing.assert_allclose(other.T_base_grasp, one.T_base_grasp, atol=0.02)
+        np.testing.assert_allclose(other.T_base_grasp[:3, 3], one.T_base_grasp[:3, 3], atol=0.005)
+        assert turned(other.T_base_grasp[:3, :3], one.T_base_grasp[:3, :3]) < 0.02
         assert (other.quality, other.width) == (pytest.approx(0.52), pytest.approx(one.width))
     alike(look(chain(changes, Believes(0.48)), place), look(chain(changes, Believes(0.48, trusts=1.0)), place))
 
