@@ -110,7 +110,7 @@ def choose(
 def trusted(network: LiftNetwork, of: ImageMaps, own: Hypotheses | None) -> tuple[Hypotheses, np.ndarray]:
     """Returns those of GGCNN's own grasps that lift with more than what the network trusts, in their order, and their
     probabilities: of a few grasps these are less often overrated than that of the best of a thousand."""
-    if own is None or network.trusts == 1.0:
+    if own is None:
         return NONE, np.zeros(0)
     lifts = lift_probabilities(network, of, own)
     return own.part(lifts > network.trusts), lifts[lifts > network.trusts]
